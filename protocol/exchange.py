@@ -214,7 +214,7 @@ class Exchange:
         # The last telegram that a later one confirmed, and the steps made since.
         self._anchor_counter = 0
         self._anchor_ns = 0
-        self._made = 0
+        self._steps_made = 0
         self._delta: int | None = None
         self._missed: frozenset[int] = frozenset()
         self._line = _TelegramLine()
@@ -268,7 +268,7 @@ class Exchange:
 
         None if there is no such telegram.
         """
-        if self._state is not ExchangeState.RUNNING or self._made or self._step is None:
+        if self._state is not ExchangeState.RUNNING or self._steps_made or self._step is None:
             return None
         return self._last_counter + self._step, self._peer
 
@@ -276,7 +276,7 @@ class Exchange:
         """Note that the clock made a step because no telegram came in time."""
         if self._state is not ExchangeState.IDLE:
             self._overdue_total += 1
-            self._made = min(self._made + 1, WINDOW)
+            self._steps_made = min(self._steps_made + 1, WINDOW)
 
     def on_telegram(self, counter: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
         """Return the decision on one telegram that arrived at ``stamp_ns``.
@@ -326,7 +326,7 @@ class Exchange:
         cycles, rest = divmod(delta, self._step)
         if rest or cycles > min(WINDOW, passed + TOLERANCE):
             return TelegramEvent.STRAY
-        if (counter - self._anchor_counter) // self._step <= self._made:
+        if (counter - self._anchor_counter) // self._step <= self._steps_made:
             return TelegramEvent.OVERDUE
         return TelegramEvent.NEXT if cycles == 1 else TelegramEvent.AHEAD
 
@@ -403,11 +403,11 @@ class Exchange:
         step = self._step or delta
         cycles = delta // step
         # Accepting relative to the last telegram confirms that one, so it is the new anchor.
-        self._made -= (self._last_counter - self._anchor_counter) // step
-        steps = max(0, cycles - self._made)
-        self._made += steps
+        self._steps_made -= (self._last_counter - self._anchor_counter) // step
+        steps = max(0, cycles - self._steps_made)
+        self._steps_made += steps
         if cycles == 1 or self._state is ExchangeState.LEARNING:
-            self._made -= cycles
+            self._steps_made -= cycles
             self._trust(counter, stamp_ns)
         else:
             self._anchor_counter, self._anchor_ns = self._last_counter, self._last_ns
@@ -421,8 +421,8 @@ class Exchange:
 
     def _resume(self, counter: int, stamp_ns: int) -> tuple[int, int]:
         cycles = (counter - self._anchor_counter) // self._line.step
-        steps = max(0, cycles - self._made)
-        self._made = max(0, self._made - cycles)
+        steps = max(0, cycles - self._steps_made)
+        self._steps_made = max(0, self._steps_made - cycles)
         self._missed = frozenset()
         self._trust(counter, stamp_ns)
         return cycles - 1, steps

@@ -79,11 +79,17 @@ def _measured_steps() -> Iterator[WalkStep]:
 
 def _summary(step: WalkStep, record: StepRecordOfSite) -> str:
     rests = ", ".join(record.recordings) or "-"
-    cells = (step.name.value, _WORDS[record.outcome], record.when or "-", _took(record), rests)
+    cells = (
+        step.name.value,
+        _WORDS[record.outcome],
+        record.when or "-",
+        _duration_text(record),
+        rests,
+    )
     return f"| {' | '.join(map(_cell, cells))} |"
 
 
-def _took(record: StepRecordOfSite) -> str:
+def _duration_text(record: StepRecordOfSite) -> str:
     """Return how long a step took as minutes and seconds."""
     if not record.took_s:
         return "-"

@@ -234,7 +234,7 @@ class Cycle(RestingStepper):
     def _decide(self, telegram: ControllerTelegram, peer: Hashable) -> bytes | None:
         robot = telegram.robot
         stamp_ns = robot.stamp_ns
-        self.session.hear(stamp_ns)
+        self.session.note_telegram(stamp_ns)
         decision = self.decision = self.exchange.on_telegram(telegram.counter, stamp_ns, peer)
         self._owes_reply = decision.answer
         if not decision.answer:
@@ -273,7 +273,7 @@ class Cycle(RestingStepper):
             return False
         if not self._is_quiet():
             return False
-        self.session.hear(stamp_ns)
+        self.session.note_telegram(stamp_ns)
         self.decision = self.exchange.on_telegram(foreseen[0], stamp_ns, peer)
         robot = self._robot = replace(robot, counter=foreseen[0], stamp_ns=stamp_ns)
         self.session.settle(robot.delay, 1, stamp_ns)
@@ -288,7 +288,7 @@ class Cycle(RestingStepper):
         if counter is None:
             return None
         number, echo = counter
-        self.session.hear(stamp_ns)
+        self.session.note_telegram(stamp_ns)
         if self.exchange.would_open(stamp_ns, peer):
             return self._reply_bare(echo, stamp_ns, 0)
         decision = self.decision = self.exchange.on_telegram(number, stamp_ns, peer)
@@ -370,14 +370,14 @@ class Cycle(RestingStepper):
         if ahead and last is not None and last.inputs.sent == session.moves:
             # The timer made the step of this late telegram, but did not send it.
             self.last = replace(last, counter=telegram.counter)
-            return self._give(last, self._reply(last), telegram)
+            return self._release_reply(last, self._reply(last), telegram)
         if decision.missed:
             # The robot has held, even if the timer had no step left to make for it: a controller
             # that was stalled itself counts fewer cycles than the time has.
             session.was_sent = False
         if steps == 0 and last is not None and self._plan is not None:
             entry = self._finish_again(last, self._plan, telegram.counter)
-            return self._give(entry, self._reply(entry), telegram)
+            return self._release_reply(entry, self._reply(entry), telegram)
         ready, self._ready = self._ready, None
         if ready is not None and steps > 1:
             self._add_unsent(self._confirmed(ready))
@@ -398,11 +398,13 @@ class Cycle(RestingStepper):
             )
             reply = self._reply(entry)
         self._add(entry, plan)
-        return self._give(entry, reply, telegram)
+        return self._release_reply(entry, reply, telegram)
 
-    def _give(self, entry: LogEntry, reply: PreparedReply, telegram: ControllerTelegram) -> bytes:
+    def _release_reply(
+        self, entry: LogEntry, reply: PreparedReply, telegram: ControllerTelegram
+    ) -> bytes:
         """Return a reply as it goes to the wire."""
-        self.session.give(entry.outputs.command)
+        self.session.note_reply(entry.outputs.command)
         self._owes_reply = False  # what is lost from here on is this reply
         self._given = entry
         return reply.with_counter(telegram.echo)

@@ -52,7 +52,7 @@ class Learner:
             maxlen=longest
         )
 
-    def take(self, entries: Sequence[LogEntry]) -> None:
+    def record_motion(self, entries: Sequence[LogEntry]) -> None:
         """Keep each command of a motion with the position that the next step had."""
         for entry in entries:
             if entry.state not in MOVING:
@@ -72,7 +72,7 @@ class Learner:
         self._motion.clear()
         return kept
 
-    def look(
+    def estimate_servos(
         self, motion: Sequence[tuple[tuple[float, ...], tuple[float, ...] | None]]
     ) -> ServoEstimates:
         """Return the models after a motion, window by window; to be called in a thread.

@@ -167,7 +167,7 @@ class RestingStepper(Stepper):
         rest = self._rest_now
         if rest is None:
             return None
-        if not self._look(telegram.robot.stamp_ns):
+        if not self._may_go_on(telegram.robot.stamp_ns):
             self.end_rest()
             return None
         self._give_rested(rest)
@@ -176,14 +176,14 @@ class RestingStepper(Stepper):
     def _give_rested(self, rest: Rest) -> None:
         """Note that a reply holds the robot without a step."""
         self.rested += 1
-        self.session.give(rest.command)
+        self.session.note_reply(rest.command)
         self._owes_reply = False
 
     def looks_at(self, stamp_ns: int) -> bool:
         """Return whether sensors and watches are judged at a telegram of a rest [ns]."""
         return stamp_ns - self._looked_ns >= round(1e9 * LOOK_S)
 
-    def _look(self, stamp_ns: int) -> bool:
+    def _may_go_on(self, stamp_ns: int) -> bool:
         """Judge sensors and watches if it is time, and return whether the rest may go on."""
         if not self.looks_at(stamp_ns):
             return True

@@ -143,7 +143,7 @@ class Session:
         """Note that telegrams can arrive from now on [ns]; before, none could be heard."""
         self._listening_ns = now_ns
 
-    def hear(self, stamp_ns: int) -> None:
+    def note_telegram(self, stamp_ns: int) -> None:
         """Note a telegram, readable or not [ns]."""
         since = [ns for ns in (self._heard_ns, self._listening_ns) if ns is not None]
         self._heard_ns = stamp_ns
@@ -399,8 +399,8 @@ class Session:
             self.applied = given
         return self.was_lost
 
-    def give(self, command: Axes) -> None:
-        """A reply goes to the wire; its delivery status is open."""
+    def note_reply(self, command: Axes) -> None:
+        """Note the reply that goes to the wire; its delivery status is open."""
         self.was_sent, self.was_lost, self.moves = True, False, True
         self.pending, self.cycles_since_command = command, 0
 

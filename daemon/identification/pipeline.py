@@ -94,14 +94,14 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     place = cell.task.arm.camera_in_tcp
     camera = (np.array(place.position), rotations.matrix(place.quaternion))
 
-    def look(trace: Trace) -> list[Views]:
+    def views_of(trace: Trace) -> list[Views]:
         return scene_fit.views(trace, camera, cell.tracking.camera, cell.tracking.distance.delay)
 
     # Without its windup an arm makes a scene of false swings and a false hand-eye pose.
     nominal = _nominal(cell)
-    windup = identify_arm_windup(traces, look, camera, arm.tcp_in_base, nominal)
+    windup = identify_arm_windup(traces, views_of, camera, arm.tcp_in_base, nominal)
     traces = [bent_trace(trace, windup.axes, arm.tcp_in_base, nominal) for trace in traces]
-    per_trace = [look(trace) for trace in traces]
+    per_trace = [views_of(trace) for trace in traces]
     bodies = [i for i, views in enumerate(per_trace) for _ in views]
     seen = [view for views in per_trace for view in views]
     labels = [

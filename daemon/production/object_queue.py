@@ -72,7 +72,7 @@ class ObjectQueue:
         self._known.append(part.part)
         return None
 
-    def take(self) -> AnnouncedPart:
+    def pop_part(self) -> AnnouncedPart:
         """Remove and return the next part.
 
         Raises:

@@ -157,8 +157,8 @@ class Supervisor:
         self._report(skipped, "skipped by order")
         return None
 
-    def look(self, view: CellView) -> None:
-        """Give the order that is due in this cycle, if any."""
+    def supervise(self, view: CellView) -> None:
+        """Give the order that is due in this cycle, if there is one."""
         machine, self._decisions = view.machine, view.decisions
         if machine.state is State.RETREAT:
             self._was_programmed = machine.programmed
@@ -230,7 +230,7 @@ class Supervisor:
         late = self._settings.window.latest_start
         if self.position(part, view.reading) > late:
             why = f"on hold: {self.held}" if self.held else "the robot was not ready"
-            self._report(self.queue.take(), f"let go at {late:g} m: {why}")
+            self._report(self.queue.pop_part(), f"let go at {late:g} m: {why}")
 
     def _go_on(self, view: CellView) -> None:
         """Bring the robot home, then begin the next part once it is near enough."""
@@ -244,7 +244,7 @@ class Supervisor:
         if part is None or reading is None:
             return
         if self.position(part, reading) >= self._settings.window.start:
-            self.part, self.stage = self.queue.take(), Stage.PREPARE
+            self.part, self.stage = self.queue.pop_part(), Stage.PREPARE
             self._was_programmed, self._trouble = False, None
             self._ordered_at = view.decisions
             self._control.begin_part(part)

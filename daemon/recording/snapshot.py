@@ -151,7 +151,7 @@ def decode(data: bytes) -> StepState:
         version, tree = msgpack.unpackb(data, strict_map_key=False)
         if version != VERSION:
             raise SnapshotError(f"version {version!r} of a state is not known")
-        state = _made(tree)
+        state = _rebuilt(tree)
     except (ValueError, TypeError, LookupError, AttributeError, ImportError) as error:
         if isinstance(error, SnapshotError):
             raise
@@ -197,7 +197,7 @@ def _array(value: np.ndarray[Any, Any]) -> list[Any]:
     return ["a", value.dtype.str, list(value.shape), order, value.tobytes(order=order)]
 
 
-def _made(tree: Any) -> Any:
+def _rebuilt(tree: Any) -> Any:
     if not isinstance(tree, list):
         return tree
     return _MAKERS[tree[0]](*tree[1:])
@@ -215,7 +215,7 @@ def _made_object(name: str, own: dict[str, Any]) -> Any:
     if not issubclass(kind, Struct):
         raise TypeError(f"{name} is no part of a state")
     current, dropped = _FIELDS.get(name, {}), _DROPPED.get(name, ())
-    return kind(**{current.get(key, key): _made(own[key]) for key in own if key not in dropped})
+    return kind(**{current.get(key, key): _rebuilt(own[key]) for key in own if key not in dropped})
 
 
 def _made_member(name: str, member: str) -> Any:
@@ -252,10 +252,10 @@ _TELLERS: dict[type[Any], Callable[[Any], list[Any]]] = {
 }
 
 _MAKERS: dict[str, Callable[..., Any]] = {
-    "t": lambda *items: tuple(map(_made, items)),
-    "l": lambda *items: list(map(_made, items)),
-    "f": lambda *items: frozenset(map(_made, items)),
-    "d": lambda *pairs: {_made(key): _made(item) for key, item in pairs},
+    "t": lambda *items: tuple(map(_rebuilt, items)),
+    "l": lambda *items: list(map(_rebuilt, items)),
+    "f": lambda *items: frozenset(map(_rebuilt, items)),
+    "d": lambda *pairs: {_rebuilt(key): _rebuilt(item) for key, item in pairs},
     "a": _made_array,
     "o": _made_object,
     "e": _made_member,

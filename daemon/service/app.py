@@ -179,7 +179,7 @@ class App:
         return CycleTimer(
             self._on_due,
             self._failed,
-            self._look,
+            self._answer_waiting,
             PhaseLock(period_ns, time.monotonic_ns(), lead_ns),
             attend=self._attend,
         )
@@ -342,7 +342,7 @@ class App:
             # The link has sent the reply: a turn of the loop would cost 20 us.
             self._after()
 
-    def _look(self) -> None:
+    def _answer_waiting(self) -> None:
         """Answer telegrams that have come, so that none of them counts as missing."""
         self._robot.poll()
         self._follow()
@@ -435,7 +435,7 @@ class App:
         if self._learner is not None:
             self._learn(self._learner, entries)
         if self._production is not None:
-            self._production.look(entries, now_ns)
+            self._production.advance(entries, now_ns)
         self._rest.update(now_ns)
         self._serve_operators(now_ns)
         if self._failing_ns is None:
@@ -454,10 +454,12 @@ class App:
 
     def _learn(self, learner: Learner, entries: Sequence[LogEntry]) -> None:
         """Collect a motion. Once the robot stands, estimate the servo models from it."""
-        learner.take(entries)
+        learner.record_motion(entries)
         if not (learner.ripe and self.cycle.stands):
             return
-        work = asyncio.get_running_loop().run_in_executor(None, learner.look, learner.motion())
+        work = asyncio.get_running_loop().run_in_executor(
+            None, learner.estimate_servos, learner.motion()
+        )
 
         def done(finished: asyncio.Future[ServoEstimates]) -> None:
             if finished.cancelled():

@@ -53,7 +53,7 @@ class EventLog:
     def log_changes(self, now_ns: int) -> None:
         """Log changes of the state with their reason, and sensors that came or went."""
         for change in self._cycle.take_changes():
-            self._state_journal.say(now_ns, str(change))
+            self._state_journal.write_line(now_ns, str(change))
             self.add(str(change), change.stamp_ns, STATE_LOG)
         if now_ns - self._sensors_checked_ns < SENSORS_EVERY_NS:
             return
@@ -81,7 +81,7 @@ class EventLog:
         line = "go: no longer waiting before contact"
         if waiting is not None:
             line = f"no-go: waiting before contact: {waiting}"
-        self._state_journal.say(now_ns, line)
+        self._state_journal.write_line(now_ns, line)
         self.add(line, now_ns, STATE_LOG)
 
     def log_links(self, now_ns: int, links: Sequence[LinkStatus]) -> None:
@@ -103,6 +103,6 @@ class EventLog:
     def _add_device_lines(self, now_ns: int, lines: Sequence[str]) -> None:
         """Write one joined line to the journal, and each line to the recording."""
         if lines:
-            self._device_journal.say(now_ns, "; ".join(lines))
+            self._device_journal.write_line(now_ns, "; ".join(lines))
         for text in lines:
             self.add(text, now_ns)

@@ -33,7 +33,7 @@ class Journal:
         self._waiting: deque[str] = deque()
         self._stamps: deque[int] = deque([-SECOND_NS] * most, maxlen=most)
 
-    def say(self, now_ns: int, text: str) -> None:
+    def write_line(self, now_ns: int, text: str) -> None:
         """Write a line, at once if the limit allows."""
         if len(self._waiting) < WAITING:
             self._waiting.append(text)

@@ -39,12 +39,12 @@ def table(load: Load, has: Has) -> str:
         "|---" * 9 + "|",
     ]
     for name in stored:
-        found = load(name)
-        cycle = f"[{found['cycle_ms']:g} ms](results/{name}.json)"
+        result = load(name)
+        cycle = f"[{result['cycle_ms']:g} ms](results/{name}.json)"
         lines += [
             f"| {cycle} | {mount / 1e3:g} | {100.0 * damping:g} % | " + " | ".join(_cells(part))
             + " |"
-            for (mount, damping), part in stability_map.grouped(found["cases"])
+            for (mount, damping), part in stability_map.grouped(result["cases"])
         ]  # fmt: skip
     return "\n".join(lines)
 
@@ -72,11 +72,11 @@ def growing(load: Load, has: Has) -> str:
         "|---" * 8 + "|",
     ]
     for name in stored:
-        found = load(name)
-        for case in sorted(filter(stability_map.is_unstable, found["cases"]), key=_order):
+        result = load(name)
+        for case in sorted(filter(stability_map.is_unstable, result["cases"]), key=_order):
             amplitudes = ", ".join(f"{amplitude:.2f}" for amplitude in case["amplitudes_mm"])
             lines.append(
-                f"| {found['cycle_ms']:g} ms | {case['ends']}"
+                f"| {result['cycle_ms']:g} ms | {case['ends']}"
                 f" | {case['mass']:g} kg, {case['frequency_hz']:g} Hz"
                 f" | {100.0 * case['damping']:g} % | {case['mount'] / 1e3:g} | {amplitudes}"
                 f" | {case['force_n']:.0f} | {case['energy_j']:.3f} |"
@@ -95,11 +95,11 @@ def draw(load: Load, has: Has) -> Any:
 
     stored = [load(name) for name in COMMANDS if has(name)]
     rows = [
-        (found["cycle_ms"], damping, found["cases"])
-        for found in stored
-        for damping in sorted({case["damping"] for case in found["cases"]})
+        (result["cycle_ms"], damping, result["cases"])
+        for result in stored
+        for damping in sorted({case["damping"] for case in result["cases"]})
     ]
-    mounts = sorted({case["mount"] for found in stored for case in found["cases"]})
+    mounts = sorted({case["mount"] for result in stored for case in result["cases"]})
     figure = Figure(figsize=(12.0, 0.6 + 2.1 * len(rows)), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(len(rows), len(mounts), squeeze=False)

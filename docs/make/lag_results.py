@@ -47,8 +47,8 @@ def by_cycle(load: Load, has: Has) -> str:
     """Return a row for each cycle, with its control error over that of 4 ms."""
     if not has("cycles"):
         return _not_measured("cycles")
-    found = load("cycles")
-    reference = found[REFERENCE_MS][CONTROL]["median"]
+    result = load("cycles")
+    reference = result[REFERENCE_MS][CONTROL]["median"]
     head = f"control error over that of {REFERENCE_MS} ms"
     return _table(
         load,

@@ -111,9 +111,9 @@ def _shared(
     commands: list[tuple[argparse.ArgumentParser, str]],
 ) -> dict[tuple[str, ...], argparse.Action]:
     """Return the options that most commands have."""
-    found = [(_key(action), action) for command, _ in commands for action in _own(command)]
-    count = Counter(key for key, _ in found)
-    return {key: action for key, action in found if count[key] > len(commands) / 2}
+    keyed = [(_key(action), action) for command, _ in commands for action in _own(command)]
+    count = Counter(key for key, _ in keyed)
+    return {key: action for key, action in keyed if count[key] > len(commands) / 2}
 
 
 def _options(actions: Iterable[argparse.Action]) -> list[str]:

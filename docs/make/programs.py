@@ -96,5 +96,5 @@ def every() -> Iterator[Page]:
     """Yield each program's parser, its manual section, one line about it, and further sections."""
     yield operator.parser(), 1, "watch and operate a linemate daemon", dict(LINEMATE)
     yield service.parser(), 8, "the daemon that leads a robot at a conveyor", dict(LINEMATED)
-    made: Any = harness._parser()  # noqa: SLF001 - no public name
-    yield made, 1, "emulators of the station, and runs against them", dict(LINEMATE_SIM)
+    parser: Any = harness._parser()  # noqa: SLF001 - no public name
+    yield parser, 1, "emulators of the station, and runs against them", dict(LINEMATE_SIM)

@@ -133,8 +133,8 @@ def filled(page: str) -> str:
     """Return a page's text with the blocks of figures as the stored results have them."""
     for name, table in TABLES.items():
         begin, end = f"<!-- figures {name}: begin -->", f"<!-- figures {name}: end -->"
-        head, found, rest = page.partition(begin)
-        if found:
+        head, mark, rest = page.partition(begin)
+        if mark:
             page = f"{head}{begin}\n{table()}\n{end}{rest.partition(end)[2]}"
     return page
 

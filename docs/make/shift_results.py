@@ -59,32 +59,32 @@ def table(load: Load, has: Has) -> str:
     """Return the figures of the stored shift, and a row for each car that was not mounted."""
     if not has("shift"):
         return NOT_MEASURED
-    found = load("shift")
-    orders = ", ".join(f"{op} {found['requests'].get(op, 0)}" for op in ORDERS)
+    result = load("shift")
+    orders = ", ".join(f"{op} {result['requests'].get(op, 0)}" for op in ORDERS)
     asked = ", ".join(
-        f"{op} {count}" for op, count in found["requests"].items() if op not in ORDERS and count
+        f"{op} {count}" for op, count in result["requests"].items() if op not in ORDERS and count
     )
-    daemons = len(found["remembered_bytes"])
+    daemons = len(result["remembered_bytes"])
     rows = (
-        ("cars", f"{found['cars']} of {found['planned']} planned, [shift](results/shift.json)"),
-        ("virtual time, daemons", f"{found['duration_s'] / 3600.0:.2f} h, {daemons}"),
-        ("good cars mounted", f"{found['good_mounted']} of {found['good_cars']}"),
-        *((f"{kind}: cause reported", _named(counts)) for kind, counts in found["faults"].items()),
+        ("cars", f"{result['cars']} of {result['planned']} planned, [shift](results/shift.json)"),
+        ("virtual time, daemons", f"{result['duration_s'] / 3600.0:.2f} h, {daemons}"),
+        ("good cars mounted", f"{result['good_mounted']} of {result['good_cars']}"),
+        *((f"{kind}: cause reported", _named(counts)) for kind, counts in result["faults"].items()),
         ("collisions; good record of a car that is not mounted; no record",
-         f"{found['collisions']}; {found['mounted_bad']}; {found['unreported']}"),
-        ("error at the touch, median and largest", _pair(found["impact_mm"], "mm", 2)),
-        ("largest force, median and largest", _pair(found["force_n"], "N", 0)),
+         f"{result['collisions']}; {result['mounted_bad']}; {result['unreported']}"),
+        ("error at the touch, median and largest", _pair(result["impact_mm"], "mm", 2)),
+        ("largest force, median and largest", _pair(result["force_n"], "N", 0)),
         ("orders of the line's controller", orders),
         ("its other requests", asked),
-        ("what the daemon remembers, first and last car", _sizes(found["remembered_bytes"])),
-        ("memory of the process, first and last car", _sizes(found["resident_bytes"])),
-        ("record files", f"{found['record_bytes'] / found['cars'] / 1e3:.1f} kB a car"),
+        ("what the daemon remembers, first and last car", _sizes(result["remembered_bytes"])),
+        ("memory of the process, first and last car", _sizes(result["resident_bytes"])),
+        ("record files", f"{result['record_bytes'] / result['cars'] / 1e3:.1f} kB a car"),
     )  # fmt: skip
     lines = ["| what | figure |", "|---|---|", *(f"| {what} | {text} |" for what, text in rows)]
     lines += ["", "| not mounted | fault | reported |", "|---|---|---|"]
     lines += [
         f"| {car['id']} {car['variant']} | {car['fault'] or 'none'} | {car['reason']} |"
-        for car in found["not_mounted"]
+        for car in result["not_mounted"]
     ]
     return "\n".join(lines)
 

@@ -213,14 +213,14 @@ def floor(load: Load, has: Has) -> str:
 
 def readme(load: Load, has: Has) -> list[tuple[str, str, str]]:
     """Return what README.md says first: what was measured, the figures, the result's name."""
-    found: list[tuple[str, str, str]] = []
+    figure_rows: list[tuple[str, str, str]] = []
     if not has("plant-floor"):
-        return found
+        return figure_rows
     for label, scenario in (("a plant floor", FLOOR), ("a harsh one", HARSH)):
         summary = load("plant-floor")[scenario]["summary"]
         figures = (
             f"{outcomes(summary)}; {_spread(summary['impact_mm'])} mm at impact,"
             f" {_spread(summary['force_n'])} N; {summary['false_confirmed']} false alarms"
         )
-        found.append((f"{label}, {summary['runs']} objects, 12 ms", figures, "plant-floor"))
-    return found
+        figure_rows.append((f"{label}, {summary['runs']} objects, 12 ms", figures, "plant-floor"))
+    return figure_rows

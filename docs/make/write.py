@@ -29,7 +29,7 @@ def pages() -> Iterator[tuple[Path, str]]:
     yield DOCS / "sbom.cdx.json", sbom.bill(packages)
     yield DOCS.parent / "requirements.txt", sbom.requirements(packages)
     yield DOCS / "linemated.schema.json", json.dumps(config.schema(), indent=1) + "\n"
-    for name, made in (
+    for name, generated in (
         ("configuration.md", reference.configuration_page()),
         ("parameters.md", reference.parameters_page()),
         ("scenarios.md", reference.scenarios_page()),
@@ -38,7 +38,7 @@ def pages() -> Iterator[tuple[Path, str]]:
     ):
         path = DOCS / name
         kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]
-        yield path, kept + reference.MADE + "\n" + made
+        yield path, kept + reference.MADE + "\n" + generated
     yield DOCS / "man/linemated.yaml.5", manual.configuration_page()
     for parser, number, what, more in programs.every():
         yield DOCS / f"man/{parser.prog}.{number}", manual.program_page(parser, number, what, more)

@@ -142,7 +142,7 @@ class LimitJudge:
         return self.counts.total()
 
     @property
-    def found(self) -> int:
+    def violations_so_far(self) -> int:
         """Violations in what has been judged so far; it costs nothing to ask."""
         return self._counts.total()
 
@@ -160,7 +160,7 @@ class LimitJudge:
     def hold(self, setpoints: Sequence[float]) -> None:
         """A cycle in which the controller acted by itself."""
         self._unsure = 0
-        self._put(setpoints, 0)
+        self._queue_setpoints(setpoints, 0)
 
     def slip(self) -> None:
         """The schedule slipped between the last cycle and the next one: it may be at rest."""
@@ -170,10 +170,10 @@ class LimitJudge:
         """A cycle in which a fresh reply was applied."""
         if self._past is None:
             self.start(setpoints)
-        self._put(setpoints, 3 - self._unsure)
+        self._queue_setpoints(setpoints, 3 - self._unsure)
         self._unsure = max(0, self._unsure - 1)
 
-    def _put(self, setpoints: Sequence[float], depth: int) -> None:
+    def _queue_setpoints(self, setpoints: Sequence[float], depth: int) -> None:
         self._positions.append(tuple(setpoints))
         self._depths.append(depth)
         if len(self._depths) >= _TOGETHER:

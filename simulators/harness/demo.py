@@ -217,8 +217,8 @@ class Emulated:
         self._stream = child.log.open(encoding="utf-8", errors="replace")
         self._rest = ""
 
-    def look(self) -> None:
-        """Take in what it has printed since."""
+    def read_messages(self) -> None:
+        """Read the messages that it has printed since."""
         *lines, self._rest = (self._rest + self._stream.read()).split("\n")
         for text in lines:
             with suppress(ValueError):
@@ -412,8 +412,8 @@ def _watch(
     last_s: float | None = None
     while emulated.child.ended() is None:
         daemon.check()
-        emulated.look()
-        status = operator.look()
+        emulated.read_messages()
+        status = operator.give_order()
         view.show(_glimpse(station.scenario.cycle_s, emulated.state, status))
         now_s = None if emulated.state.get("waiting", True) else emulated.state.get("time_s")
         if now_s != last_s:
@@ -423,7 +423,7 @@ def _watch(
                 f"nothing has moved for {STALL_S:g} s; {_stalled(emulated, status, operator)}"
             )
         time.sleep(LOOK_S)
-    emulated.look()
+    emulated.read_messages()
     if emulated.child.ended() not in {0, EX_BROKEN} or emulated.end is None:
         raise ChildError("emulator", "did not end well", emulated.child.tail())
     return status
@@ -437,7 +437,7 @@ class _Operator:
         self._started = False
         self.refusal: str | None = None
 
-    def look(self) -> dict[str, Any]:
+    def give_order(self) -> dict[str, Any]:
         """Give the order that is due, and return the status."""
         status = self._client.call("status", timeout_s=2.0)
         order = {"idle": "arm", "armed": "start"}.get(str(status.get("state")))
@@ -451,7 +451,7 @@ class _Operator:
 
 
 def _is_ready(emulated: Emulated) -> bool:
-    emulated.look()
+    emulated.read_messages()
     return emulated.ready is not None
 
 

@@ -167,7 +167,7 @@ class Lockstep:
             Whether the run goes on.
         """
         self.links.carry()
-        self._operator.look()
+        self._operator.give_order()
         data = self.controller.telegram()
         self.truth.begin(self.world, self._plant.axes)
         t = self.world.time_s
@@ -257,7 +257,7 @@ class _Operator:
         self._started = False
         self.refusal: str | None = None
 
-    def look(self) -> None:
+    def give_order(self) -> None:
         """Give the next order if it is due."""
         if self._started:
             return

@@ -257,7 +257,7 @@ def override(setup: Setup, overrides: Sequence[str]) -> Setup:
         if not separator:
             raise OverrideError(key, "should be KEY=VALUE")
         path = _resolve(plain, key)
-        _put(plain, path, _value(key, text))
+        _set_value(plain, path, _value(key, text))
         whole = _validated(plain, key)
     return replace(
         setup,
@@ -324,7 +324,7 @@ def _paths(value: Any, path: Path = ()) -> list[Path]:
     return paths
 
 
-def _put(plain: dict[str, Any], path: Path, value: Any) -> None:
+def _set_value(plain: dict[str, Any], path: Path, value: Any) -> None:
     branch: Any = plain
     for part in path[:-1]:
         branch = branch[part]

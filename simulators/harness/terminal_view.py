@@ -78,8 +78,8 @@ class TerminalView(Protocol):
     def show(self, glimpse: Glimpse) -> None:
         """Show the present moment."""
 
-    def say(self, text: str) -> None:
-        """Say something that stays."""
+    def print_line(self, text: str) -> None:
+        """Print a line that stays."""
 
 
 @contextmanager
@@ -111,7 +111,7 @@ class Lines:
         self._last, self._last_line_s = key, glimpse.time_s
         self.console.print(line(glimpse), markup=False, soft_wrap=True)
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print it."""
         self.console.print(text, markup=False, soft_wrap=True)
 
@@ -136,7 +136,7 @@ class Drawn:
         if self.live is not None:
             self.live.update(picture(self.title, glimpse, self._events))
 
-    def say(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """Print it above the picture."""
         self.console.print(text, markup=False, soft_wrap=True)
 

@@ -128,7 +128,7 @@ def gather(
         case = CASES[name]
         setup = case.setup(plan.overlay)
         for group, seeds in groups(case, int(plan.own.get(name, plan.seeds))).items():
-            make = partial(_made, setup, seeds, where)
+            make = partial(_runs_of, setup, seeds, where)
             runs.setdefault(name, {})[group] = _piece(
                 where, f"{name}-{group}", (setup, seeds), make
             )
@@ -142,7 +142,7 @@ def groups(case: Case, most: int) -> dict[str, Sequence[int]]:
     return {name: seeds[: min(count, most)] for name, (seeds, count) in counts.items() if count}
 
 
-def _made(setup: Setup, seeds: Sequence[int], where: WorkPlace) -> list[dict[str, Any]]:
+def _runs_of(setup: Setup, seeds: Sequence[int], where: WorkPlace) -> list[dict[str, Any]]:
     from linemate.simulators.judge.statistics import figures
     from linemate.simulators.lab.campaign import CampaignJob, execute
     from linemate.simulators.lab.worker_pool import progress_bar

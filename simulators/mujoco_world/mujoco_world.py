@@ -243,17 +243,17 @@ class MujocoWorld:
 
     def take_distance(self) -> list[MujocoDistance]:
         """Readings of the distance sensor that became due since the last call."""
-        return self._take(self._distance.due)
+        return self._pop_due(self._distance.due)
 
     def take_camera(self) -> list[MujocoPose]:
         """Poses of the camera that became due since the last call."""
-        return self._take(self._camera.due)
+        return self._pop_due(self._camera.due)
 
     def take_wrench(self) -> list[MujocoWrench]:
         """Readings of the force-torque sensor that became due since the last call."""
-        return self._take(self._force_torque.due)
+        return self._pop_due(self._force_torque.due)
 
-    def _take(self, due: "deque[_Reading]") -> "list[_Reading]":
+    def _pop_due(self, due: "deque[_Reading]") -> "list[_Reading]":
         taken: list[_Reading] = []
         while due and due[0].time_s <= self.time_s + _TINY:
             taken.append(due.popleft())

@@ -102,7 +102,9 @@ class _Clock:
         """Pass on to the next instant; returns the time of emission of this one."""
         due = self.next_s + self._delay
         if self._jitter:
-            due = self._last = max(due + self._jitter * (2.0 * self._draws.one() - 1.0), self._last)
+            due = self._last = max(
+                due + self._jitter * (2.0 * self._draws.next_number() - 1.0), self._last
+            )
         self._index += 1
         self.next_s = self._first + self._index * self._period
         return due
@@ -142,9 +144,9 @@ class DistanceSensorPlant:
         due = self.clock.tick()
         if self._errors is not None:
             position = self._errors.disturb(position)
-        chance, where = self._chance.take(2)
-        value = position + sensor.offset + sensor.sigma * self._noise.one()
-        if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
+        chance, where = self._chance.next_numbers(2)
+        value = position + sensor.offset + sensor.sigma * self._noise.next_number()
+        if sensor.dropout_rate and self._dropout.next_number() < sensor.dropout_rate:
             return
         outlier = chance < sensor.outlier_rate
         if outlier:
@@ -186,9 +188,9 @@ class CameraPlant:
         camera = self._camera
         exposure = self.clock.next_s
         due = self.clock.tick()
-        chance, *where = self._chance.take(4)
-        noise = self._noise.take(6)
-        dropped = self._dropout.one() < camera.dropout_rate
+        chance, *where = self._chance.next_numbers(4)
+        noise = self._noise.next_numbers(6)
+        dropped = self._dropout.next_number() < camera.dropout_rate
         hub_in_tcp = rotation.relative(rigid, hub)
         distance = rotation.norm(hub_in_tcp[0])
         seen = rotation.relative(self._mount, hub_in_tcp)
@@ -265,7 +267,7 @@ class ForceTorquePlant:
         if not self._errors:
             self._errors = self._draw_errors()
         e0, e1, e2, e3, e4, e5 = self._errors.pop()
-        if sensor.dropout_rate and self._dropout.one() < sensor.dropout_rate:
+        if sensor.dropout_rate and self._dropout.next_number() < sensor.dropout_rate:
             return
         d0, d1, d2, d3, d4, d5 = deflection
         k0, k1, k2, k3, k4, k5 = self._stiffness

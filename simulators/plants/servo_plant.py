@@ -273,7 +273,7 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
     strains: list[Array] = []
     ends: list[int] = []
 
-    def put(rows: list[Array], axis: int, gains: Array) -> None:
+    def append_row(rows: list[Array], axis: int, gains: Array) -> None:
         row = np.zeros(width * n)
         row[axis::n] = gains
         rows.append(row)
@@ -290,13 +290,13 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
                 slope = units[2 + line] / cycle_s
                 u = units[2 : 2 + line].sum(axis=0) + slope * piece.since
                 if part == number == 0:
-                    put(strains, axis, strain(lag, u, y, v))
+                    append_row(strains, axis, strain(lag, u, y, v))
                 y, v = _linear(lag, piece, slope, u, y, v)
                 # What a piece ends with the next one begins with.
-                put(strains, axis, strain(lag, u + slope * piece.length, y, v))
+                append_row(strains, axis, strain(lag, u + slope * piece.length, y, v))
             states[axis] = y, v
-            put(positions, axis, y)
-            put(speeds, axis, v)
+            append_row(positions, axis, y)
+            append_row(speeds, axis, v)
         ends.append(len(strains))
     first = len(positions) + len(speeds)
     rows = np.array(positions + speeds + strains)

@@ -60,16 +60,16 @@ class Draws:
 
         return cls(draw)
 
-    def one(self) -> float:
-        """The next number."""
+    def next_number(self) -> float:
+        """Return the next number."""
         if self._next >= len(self._values):
             self._values, self._next = self._draw(_BLOCK), 0
         value = self._values[self._next]
         self._next += 1
         return value
 
-    def take(self, count: int) -> list[float]:
-        """The next `count` numbers (at most a block)."""
+    def next_numbers(self, count: int) -> list[float]:
+        """Return the next ``count`` numbers, at most a block."""
         end = self._next + count
         if end > len(self._values):
             self._values = self._values[self._next :] + self._draw(_BLOCK)

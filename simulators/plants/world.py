@@ -253,15 +253,15 @@ class World:
 
     def take_distance(self) -> list[DistanceEmission]:
         """Readings of the distance sensor that became due since the last call."""
-        return self._take(self._distance.due)
+        return self._pop_due(self._distance.due)
 
     def take_camera(self) -> list[CameraEmission]:
         """Poses of the camera that became due since the last call."""
-        return self._take(self._camera.due)
+        return self._pop_due(self._camera.due)
 
     def take_wrench(self) -> list[WrenchEmission]:
         """Readings of the force-torque sensor that became due since the last call."""
-        return self._take(self._force_torque.due)
+        return self._pop_due(self._force_torque.due)
 
     def hub_pose(self, t: float | None = None) -> Matrix:
         """True hub in base, 4x4, at t (default now).
@@ -346,7 +346,7 @@ class World:
     def _begin_cycle(self) -> None:
         self._servos.begin_cycle(self.cycle)
         if self._is_noisy:
-            noise = self._encoder_draws.take(7)
+            noise = self._encoder_draws.next_numbers(7)
             self._encoder_noise = tuple(
                 s * n for s, n in zip(self._encoder_sigmas, noise, strict=True)
             )
@@ -447,7 +447,7 @@ class World:
             return self._contact.held_deflection(t, rigid, self._hub_at(t))
         return self._effector.peek(self._rigid, rigid, t - self._grid)
 
-    def _take(self, due: "deque[_Emission]") -> "list[_Emission]":
+    def _pop_due(self, due: "deque[_Emission]") -> "list[_Emission]":
         taken: list[_Emission] = []
         while due and due[0].time_s <= self._now + _TINY:
             taken.append(due.popleft())

@@ -34,9 +34,9 @@ def test_a_wheel_tells_how_quick_the_servos_have_become(factor: float) -> None:
     servos, entries = wheel(factor)
     mine = learner(servos)
     for entry in entries:
-        mine.take([entry])
+        mine.record_motion([entry])
     assert mine.ripe
-    values = mine.keep(mine.look(mine.motion()), servos)
+    values = mine.keep(mine.estimate_servos(mine.motion()), servos)
     assert not mine.ripe
     if factor == 1.0:
         assert not values
@@ -53,8 +53,8 @@ def test_a_wheel_tells_how_quick_the_servos_have_become(factor: float) -> None:
 def test_what_is_learned_stays_within_its_reach() -> None:
     servos, entries = wheel(0.9)
     mine = learner(servos, reach=0.04)
-    mine.take(entries)
-    values = mine.keep(mine.look(mine.motion()), servos)
+    mine.record_motion(entries)
+    values = mine.keep(mine.estimate_servos(mine.motion()), servos)
     assert values
     for name, found in values.items():
         axis = int(name.split(".")[2])
@@ -64,6 +64,6 @@ def test_what_is_learned_stays_within_its_reach() -> None:
 def test_a_robot_that_did_not_move_teaches_nothing() -> None:
     servos, entries = wheel(1.0)
     mine = learner(servos)
-    mine.take([entry for entry in entries if entry.state == "idle"])
+    mine.record_motion([entry for entry in entries if entry.state == "idle"])
     assert not mine.ripe
-    assert not mine.keep(mine.look(mine.motion()), servos)
+    assert not mine.keep(mine.estimate_servos(mine.motion()), servos)

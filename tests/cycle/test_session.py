@@ -27,14 +27,14 @@ def running(rules: ExchangeRules = OFFSETS) -> Session:
     session = Session(CYCLE_S, rules)
     session.listen(0)
     first = telegram(1188, 11.988, 0, BEFORE)
-    session.hear(first.stamp_ns)
+    session.note_telegram(first.stamp_ns)
     assert session.prove(first, START, None, "robot") == (START, START)
     session.open(START, START, 0)
-    session.give(BEFORE)
+    session.note_reply(BEFORE)
     session.remember(first, "robot", STEP)
-    session.hear(12_000_000_000)
+    session.note_telegram(12_000_000_000)
     session.settle(0, 1, 12_000_000_000)
-    session.give(SENT)
+    session.note_reply(SENT)
     session.remember(telegram(1200, 12.0, 4, SENT), "robot", STEP)
     return session
 
@@ -42,7 +42,7 @@ def running(rules: ExchangeRules = OFFSETS) -> Session:
 def proven(
     session: Session, robot: RobotSample, peer: str = "robot", programmed: Axes | None = None
 ) -> tuple[Axes, Axes] | None:
-    session.hear(robot.stamp_ns)
+    session.note_telegram(robot.stamp_ns)
     return session.prove(robot, THERE, programmed, peer)
 
 
@@ -94,7 +94,7 @@ def test_a_program_that_cannot_be_proven_to_go_on_is_refused_with_what_to_do(
 def test_a_counter_that_jumped_at_its_pace_continues_the_program() -> None:
     session = running()
     for n, delay in ((1, 5), (2, 6)):
-        session.hear(round((12.0 + n * CYCLE_S) * 1e9))
+        session.note_telegram(round((12.0 + n * CYCLE_S) * 1e9))
         assert delay
     assert proven(session, telegram(77, 12.036, 6, THERE)) == (START, SENT)
 

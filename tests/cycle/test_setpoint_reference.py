@@ -156,7 +156,7 @@ class Bench:
         """The daemon's reply to a telegram: the command, None for a bare one or no reply."""
         robot = RobotSample(self.now_ns, ipoc, (position, 0, 0, 0, 0, 0), (), delay)
         session, axes = self.session, (position, 0.0, 0.0, 0.0, 0.0, 0.0)
-        session.hear(self.now_ns)
+        session.note_telegram(self.now_ns)
         decision = self.exchange.on_telegram(ipoc, self.now_ns, port)
         self.answered = decision.answer
         if not decision.answer:
@@ -179,7 +179,7 @@ class Bench:
         speed = SPEED if self.exchange.state is Running.RUNNING else 0.0
         command = (session.held[0] + speed, *axes[1:])
         reference = session.reference[0]
-        session.give(command)
+        session.note_reply(command)
         session.remember(robot, port, self.exchange.settled_step)
         return command[0] - reference
 

@@ -38,7 +38,7 @@ class Robot:
         for _ in range(round(duration_s / T0)):
             if moves:
                 self.setpoints = (self.setpoints[0] + 1e-6, *self.setpoints[1:])
-            event = self.feeder.look(self.setpoints, self.cycle)
+            event = self.feeder.next_event(self.setpoints, self.cycle)
             if event is not None:
                 self.events.append((self.line.time_s, event))
             self.line.command(self.setpoints, self.cycle)

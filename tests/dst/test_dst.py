@@ -216,7 +216,7 @@ def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
     for number in range(1, 100):
         steps = number + (ahead if number > 50 else 0)
         cycle: Any = SimpleNamespace(machine=Machine(), log_dropped=0, steps=steps)
-        oracle.look(cycle, 0.012 * number)
+        oracle.judge_cycle(cycle, 0.012 * number)
     assert any(what.startswith("clock: ") for what in oracle.violations) is is_blamed
 
 

@@ -96,7 +96,7 @@ class Run:
             self.plant.place = (x, y + self.plant.speed * T0, z)
             a, b, c = self.plant.tool
             self.plant.tool = (a, b + self.plant.speed * T0, c)
-            self.oracle.look(self.seen)
+            self.oracle.judge_cycle(self.seen)
         return [what.partition(":")[0] for what in self.found]
 
 

@@ -244,7 +244,7 @@ def test_a_cell_without_a_force_sensor_assembles_the_wheel_below_200_n(
 @pytest.mark.parametrize(("seed", "cycle_ms"), [(1, 12), (2, 12), (1, 4)])
 def test_a_clamp_that_opens_lets_no_press_go(seed: int, cycle_ms: int) -> None:
     simulation = Simulation(FaultPlan(seed, duration_s=2.6, cycle_ms=cycle_ms))
-    look, world, held = simulation._look, simulation.world, [0.0]
+    look, world, held = simulation._judge_cycle, simulation.world, [0.0]
     stiffness = world.scenario.effector.stiffness[2]
 
     def watch() -> None:
@@ -252,7 +252,7 @@ def test_a_clamp_that_opens_lets_no_press_go(seed: int, cycle_ms: int) -> None:
         if world.contact == "clamped":
             held[0] = stiffness * world.deflection()[2]
 
-    simulation._look = watch  # type: ignore[method-assign]
+    simulation._judge_cycle = watch  # type: ignore[method-assign]
     simulation.live()
     assert world.released_s is not None
     assert abs(held[0]) < 10.0  # the programme presses with 50 N until then

@@ -67,7 +67,7 @@ def test_a_pipe_gets_a_line_for_each_change_and_few_others() -> None:
             shown.show(replace(MOMENT, time_s=0.01 * i))
         shown.show(replace(MOMENT, time_s=1.0, tentative=False))
         shown.show(replace(MOMENT, time_s=9.0, tentative=False))
-        shown.say("done")
+        shown.print_line("done")
     lines = stream.getvalue().splitlines()
     assert len(lines) == 4
     assert lines[-1] == "done"

@@ -18,7 +18,7 @@ def part(number: int, distance: float | None = None) -> AnnouncedPart:
 def test_parts_come_in_the_order_of_the_conveyor() -> None:
     queue = ObjectQueue({"sedan"})
     assert [queue.announce(part(n)) for n in range(3)] == [None, None, None]
-    assert [queue.take().part for _ in range(3)] == ["P0", "P1", "P2"]
+    assert [queue.pop_part().part for _ in range(3)] == ["P0", "P1", "P2"]
     assert queue.next is None
 
 
@@ -32,7 +32,7 @@ def test_an_unknown_variant_is_refused() -> None:
 def test_a_part_is_announced_once_even_if_it_has_gone() -> None:
     queue = ObjectQueue({"sedan"})
     queue.announce(part(1))
-    queue.take()
+    queue.pop_part()
     assert queue.announce(part(1)) == "part 'P1' was announced before"
 
 
@@ -70,7 +70,7 @@ def test_the_queue_stays_bounded_and_sorted_whatever_comes(
     queue = ObjectQueue({"sedan"})
     for number, takes in orders:
         if takes and len(queue):
-            queue.take()
+            queue.pop_part()
         else:
             queue.announce(part(number))
         distances = [each.distance for each in queue.waiting]

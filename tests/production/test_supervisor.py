@@ -58,7 +58,7 @@ class Cell:
         for _ in range(times):
             self.decisions += 10
             self.reading += STEP if moves else 0.0
-            self.supervisor.look(
+            self.supervisor.supervise(
                 CellView(
                     self.decisions,
                     self.machine,
@@ -272,6 +272,6 @@ def test_each_order_waits_for_the_decision_on_the_last() -> None:
     orders: list[Any] = []
     for _ in range(10):
         view = CellView(0, cell.machine, "", cell.decisions + 5, cell.reading, True, True)
-        cell.supervisor.look(view)
+        cell.supervisor.supervise(view)
         orders = list(cell.orders)
     assert orders == ["arm"]

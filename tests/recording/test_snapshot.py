@@ -52,7 +52,7 @@ def test_an_array_keeps_its_bits_its_shape_and_its_order_in_memory() -> None:
         np.array([True, False]),
         np.arange(3),
     ):
-        again = snapshot._made(msgpack.unpackb(msgpack.packb(snapshot._plain(array))))
+        again = snapshot._rebuilt(msgpack.unpackb(msgpack.packb(snapshot._plain(array))))
         assert again.tobytes(order="A") == array.tobytes(order="A")
         assert again.shape == array.shape
         assert again.dtype == array.dtype

@@ -13,7 +13,7 @@ def test_a_second_has_no_more_lines_than_allowed_and_nothing_is_lost_unsaid() ->
     journal = Journal(lambda text: lines.append((now[0], text)), 3)
     for n in range(200):
         now[0] = n * 5 * MS
-        journal.say(now[0], f"line {n}")
+        journal.write_line(now[0], f"line {n}")
     now[0] = 6000 * MS
     journal.catch_up(now[0])
     for at_ns, _ in lines:
@@ -29,7 +29,7 @@ def test_a_line_beyond_the_limit_waits_for_it() -> None:
     lines: list[str] = []
     journal = Journal(lines.append, 1)
     for n in range(4):
-        journal.say(n * MS, f"line {n}")
+        journal.write_line(n * MS, f"line {n}")
     assert lines == ["line 0"]
     journal.catch_up(999 * MS)
     assert lines == ["line 0"]
@@ -41,7 +41,7 @@ def test_few_lines_are_all_written() -> None:
     lines: list[str] = []
     journal = Journal(lines.append, 3)
     for n in range(10):
-        journal.say(n * 400 * MS, str(n))
+        journal.write_line(n * 400 * MS, str(n))
         journal.catch_up(n * 400 * MS)
     assert lines == [str(n) for n in range(10)]
 

@@ -322,7 +322,7 @@ def test_garbage_at_the_robots_port_is_counted_and_every_telegram_answered(
     with station.unharmed() as before:
         sent = throw(station, stranger, target, JUNK)
         for junk in JUNK[:9]:  # and from the controller's own address, which is no stranger's
-            station.do(station.emulator.link.put, junk)
+            station.do(station.emulator.link.send_raw, junk)
             station.cycles(1)
         assert heard(stranger) is None
     links = station.shown("links", "robot", "counters")
@@ -348,7 +348,7 @@ def test_telegrams_with_a_wrong_counter_are_counted_and_not_answered(station: St
     def again(ipoc: int) -> None:
         """The open cycle's telegram once more, with another counter."""
         reading = controller._describe(ipoc, controller._read())
-        station.emulator.link.put(codec.format_robot(reading))
+        station.emulator.link.send_raw(codec.format_robot(reading))
 
     def wrong(offset: int) -> None:
         again(controller._session.ipoc + offset)
@@ -369,7 +369,7 @@ def test_telegrams_with_a_wrong_counter_are_counted_and_not_answered(station: St
             assert b">7</IPOC>" in telegram
             unreadable = telegram.replace(b">7</", b">" + counter + b"</")
             station.until_counted(
-                partial(station.emulator.link.put, unreadable), "telegrams", "unreadable"
+                partial(station.emulator.link.send_raw, unreadable), "telegrams", "unreadable"
             )
         assert controller.counts.wrong_counter == before.counts.wrong_counter
     assert station.shown("telegrams", "new_session") == before.status["telegrams"]["new_session"]
@@ -428,7 +428,7 @@ def test_garbage_at_the_cameras_port_is_counted_and_poses_still_come(
         junk = (*JUNK, *map(camera_codec.encode, broken), camera_codec.encode(good)[:40])
         sent = throw(station, stranger, target, junk)
         for data in junk:  # and from the camera's own address, which is no stranger's
-            station.do(station.emulator.camera.put, data)
+            station.do(station.emulator.camera.send_raw, data)
             station.cycles(1)
         old = before.status["links"]["camera"]["counters"]
         station.status_once(

@@ -53,8 +53,8 @@ class Lived(Simulation):
         self.missed = 0
         """Telegrams without an answer in time, until the controller's programme drives home."""
 
-    def _look(self) -> None:
-        super()._look()
+    def _judge_cycle(self) -> None:
+        super()._judge_cycle()
         if self.robot.is_paused:
             self.homed_s = min(self.homed_s, self.now_s)
         if self.now_s < self.homed_s:

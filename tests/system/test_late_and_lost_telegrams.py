@@ -42,8 +42,8 @@ class Late(Simulation):
         self.homed_s = float("inf")
         self._is_led, self._offset = False, 0
 
-    def _look(self) -> None:
-        super()._look()
+    def _judge_cycle(self) -> None:
+        super()._judge_cycle()
         if self.robot.is_paused:
             self.homed_s = min(self.homed_s, self.now_s)
         if self.app is None or self.app.cycle.last is None:
@@ -134,11 +134,11 @@ class Unattended(Simulation):
         self.force_n = 0.0
         self.clamped_s = float("inf")
         self.seen: list[tuple[str, str]] = []
-        look = self.operator.look
-        self.operator.look = lambda now_s: None if self.seen else look(now_s)  # type: ignore[method-assign]
+        look = self.operator.give_order
+        self.operator.give_order = lambda now_s: None if self.seen else look(now_s)  # type: ignore[method-assign]
 
-    def _look(self) -> None:
-        super()._look()
+    def _judge_cycle(self) -> None:
+        super()._judge_cycle()
         if self.world.contact == "clamped":
             self.force_n = max(self.force_n, force(self.world))
             self.clamped_s = min(self.clamped_s, self.now_s)

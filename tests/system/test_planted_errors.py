@@ -26,7 +26,7 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (RsiCodec, "parse_robot"),
     (Exchange, "on_telegram"),
     (Session, "settle"),
-    (Session, "give"),
+    (Session, "note_reply"),
     (Session, "remember"),
     (SensorQueues, "drain"),
     (FollowingCheck, "check_moving"),
@@ -75,14 +75,14 @@ def test_an_exception_anywhere_in_a_cycle_ends_the_motion_and_not_the_daemon(
     simulation = Simulation(FaultPlan(0, duration_s=at_s + 0.25, lead_ms=lead_ms))
     raised = plant(simulation, what, at_s, monkeypatch)
     seen: list[tuple[float, str]] = []
-    look = simulation._look
+    look = simulation._judge_cycle
 
     def looking() -> None:
         look()
         if simulation.app is not None:
             seen.append((simulation.now_s, simulation.app.cycle.machine.state.value))
 
-    monkeypatch.setattr(simulation, "_look", looking)
+    monkeypatch.setattr(simulation, "_judge_cycle", looking)
     simulation.live()
     if not raised:
         # A gap is of no interest in contact.

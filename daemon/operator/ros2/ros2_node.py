@@ -42,7 +42,7 @@ class Publisher:
     gid: bytes
     sequence: int = 0
 
-    def put(self, data: bytes) -> None:
+    def publish(self, data: bytes) -> None:
         """Publish a message."""
         self.sequence += 1
         attachment = keys.Attachment(self.sequence, time.time_ns(), self.gid)
@@ -131,13 +131,13 @@ class Ros2Node:
         measured = telemetry.get("measured")
         poses = {name: telemetry[name] for name in POSES if telemetry.get(name) is not None}
         if measured is not None:
-            self._joints.put(messages.joint_state(wall_ns, measured))
+            self._joints.publish(messages.joint_state(wall_ns, measured))
             if self._cell.chain is not None:
                 poses[TCP] = self._cell.chain.place([float(axis) for axis in measured])[1]
         for topic, name in POSE_TOPICS.items():
             if name in poses:
-                self._poses[topic].put(messages.pose_stamped(wall_ns, BASE, poses[name]))
-        self._transforms.put(messages.transforms(wall_ns, self._frames(poses)))
+                self._poses[topic].publish(messages.pose_stamped(wall_ns, BASE, poses[name]))
+        self._transforms.publish(messages.transforms(wall_ns, self._frames(poses)))
 
     def show_sensors(self, answer: Values, clock: WallClock) -> None:
         """Publish the wrench, if it is new."""
@@ -146,7 +146,7 @@ class Ros2Node:
         if wall_ns is None or stamp_ns == self._wrench_ns:
             return
         self._wrench_ns = stamp_ns
-        self._wrench.put(messages.wrench_stamped(wall_ns, SENSOR, answer["wrench"]))
+        self._wrench.publish(messages.wrench_stamped(wall_ns, SENSOR, answer["wrench"]))
 
     def close(self) -> None:
         """Leave the domain."""

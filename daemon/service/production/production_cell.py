@@ -110,14 +110,14 @@ class ProductionCell:
 
     # The cycle.
 
-    def look(self, entries: Sequence[LogEntry], now_ns: int) -> None:
+    def advance(self, entries: Sequence[LogEntry], now_ns: int) -> None:
         """Add the steps to the record, and give the order that is due."""
         record = self._record
         if record is not None:
             for entry in entries:
                 record.add(entry)
         cycle, last = self._cycle, self._cycle.last
-        self._supervisor.look(
+        self._supervisor.supervise(
             CellView(
                 now_ns,
                 cycle.machine,

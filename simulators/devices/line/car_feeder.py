@@ -67,7 +67,7 @@ class CarFeeder:
         """Let no further car enter, but the first; the shift ends as the present one leaves."""
         self._plan = replace(self._plan, cars=self._plan.cars[: max(self._next, 1)])
 
-    def look(self, setpoints: tuple[float, ...], cycle: int) -> CarEvent | None:
+    def next_event(self, setpoints: tuple[float, ...], cycle: int) -> CarEvent | None:
         """Return what changes at the beginning of a cycle, None if nothing does.
 
         Args:

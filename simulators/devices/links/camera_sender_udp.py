@@ -51,13 +51,13 @@ class CameraUdp:
             exposure_ns: monotonic middle of the exposure [ns].
         """
         now_ns = time.monotonic_ns()
-        self.put(
+        self.send_raw(
             self.sender.datagram(
                 position, quaternion, covariance, exposure_ns=exposure_ns, sent_ns=now_ns
             )
         )
 
-    def put(self, data: bytes) -> None:
+    def send_raw(self, data: bytes) -> None:
         """Send any datagram."""
         if self._endpoint is not None and self._endpoint.send(data, self.target):
             self.sent += 1

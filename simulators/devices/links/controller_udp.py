@@ -140,7 +140,7 @@ class ControllerUdp:
         self.turnaround.clear()
         self.pace = SendPace()
 
-    def put(self, data: bytes, target: Address | None = None) -> bool:
+    def send_raw(self, data: bytes, target: Address | None = None) -> bool:
         """Send any datagram to the daemon, or to another address.
 
         Returns:
@@ -175,7 +175,7 @@ class ControllerUdp:
         self._elapsed_ns = None
         self._sent_ns = time.monotonic_ns()
         if data is not None and not self.is_mute:
-            self.pace.unsent += not self.put(data)
+            self.pace.unsent += not self.send_raw(data)
         self._begun_ns, self._due_ns = self._due_ns, self._due_ns + self._cycle_ns
         self._is_begun = False
         self._grace = self._schedule.at(self._sent_ns + self._grace_ns, self._begin)
@@ -204,15 +204,15 @@ class ControllerUdp:
 
     def _heard(self) -> None:
         """Judge one datagram; the loop comes back for more."""
-        self._schedule.together(self._take)
+        self._schedule.together(self._judge_datagram)
 
     def _drain(self) -> None:
         """Judge what waits."""
         for _ in range(BUDGET):
-            if not self._take():
+            if not self._judge_datagram():
                 return
 
-    def _take(self) -> bool:
+    def _judge_datagram(self) -> bool:
         """Judge a datagram, if there is one; a good reply ends the cycle's uncertainty at once."""
         received = None if self._endpoint is None else self._endpoint.receive()
         if received is None:
@@ -232,7 +232,7 @@ class ControllerUdp:
     def _answer(self, asked: FanucController, source: Address) -> None:
         """Answer a client's requests; packets go to it from now on."""
         for data in asked.take_answers():
-            self.put(data, source)
+            self.send_raw(data, source)
         self._target = source
 
     def _finish(self) -> None:

@@ -161,14 +161,14 @@ class Emulator:
         reason = "cancelled"
         try:
             self._open()
-            self._tell(self.ready())
+            self._report(self.ready())
             reason = await self._end(self._ended, stop)
         finally:
             self._close()
             facts = self.facts(reason)
             if self.config.truth is not None and self._feeder is None:
                 self.truth.save(self.config.truth, facts)
-            self._tell({"event": "end", **facts})
+            self._report({"event": "end", **facts})
         return EmulatorResult(facts, self.truth)
 
     def begin_cycle(self, at_ns: int) -> None:
@@ -225,11 +225,11 @@ class Emulator:
     def _feed(self, setpoints: tuple[float, ...]) -> None:
         """Let the next car enter if it is due, and report it."""
         feeder = self._feeder
-        event = None if feeder is None else feeder.look(setpoints, self._plant.cycle)
+        event = None if feeder is None else feeder.next_event(setpoints, self._plant.cycle)
         if event is None:
             return
         left, entered = event.left, event.entered
-        self._tell(
+        self._report(
             {
                 "event": "car",
                 "part": None if entered is None else entered.part,
@@ -249,10 +249,10 @@ class Emulator:
             "camera": {"target": self.config.camera_target},
             "can": {
                 "interface": "slcan",
-                "channel": _found(self.can.port),
+                "channel": _address_of(self.can.port),
             },
             "force_torque": {
-                "url": _found(self.force_torque.port),
+                "url": _address_of(self.force_torque.port),
                 "device": self.config.force_torque_device,
             },
         }
@@ -275,7 +275,7 @@ class Emulator:
             "delay": self.link.controller.delay,
             "broken": self.link.controller.broken,
             "turnaround_us": self.link.turnaround.summary_us(NEWEST),
-            "violations": self.link.controller.judge.found,
+            "violations": self.link.controller.judge.violations_so_far,
             "collision": None if world.collision is None else world.collision.reason,
             "slips": self.link.pace.slips,
         }
@@ -358,18 +358,20 @@ class Emulator:
         for fault in self._faults.strike(now_s):
             if fault.kind == "garbage":
                 for _ in range(fault.count):
-                    self._put(fault.link, self._junk.randbytes(int(fault.value) or GARBAGE_BYTES))
+                    self._send_raw(
+                        fault.link, self._junk.randbytes(int(fault.value) or GARBAGE_BYTES)
+                    )
             else:
                 device = self.can if fault.link == "distance" else self.force_torque
                 device.close()
                 self._at(fault.at_s + fault.duration_s, device.open)
 
-    def _put(self, link: str, data: bytes) -> None:
+    def _send_raw(self, link: str, data: bytes) -> None:
         match link:
             case "robot":
-                self.link.put(data)
+                self.link.send_raw(data)
             case "camera":
-                self.camera.put(data)
+                self.camera.send_raw(data)
             case "distance":
                 self.can.port.write(data)
             case _:
@@ -443,9 +445,9 @@ class Emulator:
             self._reported_s = now_s
             # In the cycle's quiet hours: its reply is in, and most of its readings are out.
             quiet_ns = self.link.due_ns - round(_QUIET * self._cycle_s * 1e9)
-            self._schedule.at(quiet_ns, lambda: self._tell(self.state()))
+            self._schedule.at(quiet_ns, lambda: self._report(self.state()))
 
-    def _tell(self, state: dict[str, Any]) -> None:
+    def _report(self, state: dict[str, Any]) -> None:
         if self._on_state is not None:
             self._on_state(state)
 
@@ -505,7 +507,7 @@ def _rows(scenario: Scenario) -> int:
     return min(round(cycles) + SPARE_ROWS, MAX_ROWS)
 
 
-def _found(port: PtyPort | TcpPort) -> str:
+def _address_of(port: PtyPort | TcpPort) -> str:
     return port.path if port.link is None else str(port.link)
 
 

@@ -58,10 +58,10 @@ class SlcanPty:
         """
         frame = self.sensor.frame(position, strength)
         if frame is not None:
-            self.put(frame)
+            self.send_frame(frame)
 
-    def put(self, frame: CanFrame) -> None:
-        """Put any frame on the bus."""
+    def send_frame(self, frame: CanFrame) -> None:
+        """Send any frame on the bus."""
         self.port.write(self.adapter.forward(frame))
 
     def counters(self) -> dict[str, int]:

@@ -174,7 +174,7 @@ def _lead(emulated: Emulated, client: Client, scenario: Scenario) -> LineLog:
     """Announce the cars and let production go on until the emulator ends."""
     log, moved, last_s = LineLog(), time.monotonic(), None
     while emulated.child.ended() is None:
-        emulated.look()
+        emulated.read_messages()
         while emulated.cars:
             _on_car(emulated.cars.popleft(), client, log)
         shown = client.call("queue", timeout_s=2.0)
@@ -186,7 +186,7 @@ def _lead(emulated: Emulated, client: Client, scenario: Scenario) -> LineLog:
         if time.monotonic() - moved > STALL_S + scenario.lead_in_s:
             raise DemoError(f"nothing has moved for {STALL_S:g} s; production: {shown}")
         time.sleep(LOOK_S)
-    emulated.look()
+    emulated.read_messages()
     while emulated.cars:
         _on_car(emulated.cars.popleft(), None, log)
     return log
@@ -238,7 +238,7 @@ def _plain(plan: LinePlan) -> dict[str, Any]:
 
 
 def _is_ready(emulated: Emulated) -> bool:
-    emulated.look()
+    emulated.read_messages()
     return emulated.ready is not None
 
 

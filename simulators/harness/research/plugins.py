@@ -121,7 +121,7 @@ def changed_by(factory: Any) -> Change:
     """
 
     def change(parameters: Parameters) -> Parameters:
-        plugin = _made(factory, parameters)
+        plugin = _plugin_of(factory, parameters)
         by = classified_by if hasattr(plugin, "advance") else predicted_by
         return by(lambda _conveyor, _settings: plugin)(parameters)
 
@@ -132,7 +132,7 @@ def classified_by(factory: ClassifierFactory) -> Change:
     """Return what puts a factory's classifier into compiled parameters."""
 
     def change(parameters: Parameters) -> Parameters:
-        return with_classifier(parameters, _made(factory, parameters))
+        return with_classifier(parameters, _plugin_of(factory, parameters))
 
     return change
 
@@ -142,12 +142,14 @@ def predicted_by(factory: PredictorFactory) -> Change:
 
     def change(parameters: Parameters) -> Parameters:
         inner = parameters.tracker.classifier
-        return with_classifier(parameters, PredictedClassifier(inner, _made(factory, parameters)))
+        return with_classifier(
+            parameters, PredictedClassifier(inner, _plugin_of(factory, parameters))
+        )
 
     return change
 
 
-def _made(factory: Any, parameters: Parameters) -> Any:
+def _plugin_of(factory: Any, parameters: Parameters) -> Any:
     tracker = parameters.tracker
     try:
         return factory(tracker.task.conveyor, tracker.settings)

@@ -32,7 +32,7 @@ class VirtualSocket(Port):
         """A datagram waits."""
         return bool(self._waiting)
 
-    def put(self, data: bytes, source: Address) -> None:
+    def deliver(self, data: bytes, source: Address) -> None:
         """A datagram arrives; the kernel stamps it, or drops it."""
         if self._sole not in {None, source}:
             return
@@ -143,7 +143,7 @@ class VirtualBus(Port):
         """A frame waits, or the bus has gone."""
         return bool(self._waiting) or "distance" in self.world.unplugged
 
-    def put(self, can_id: int, data: bytes, *, extended: bool) -> None:
+    def deliver(self, can_id: int, data: bytes, *, extended: bool) -> None:
         """A frame arrives."""
         self._waiting.append(
             can.Message(
@@ -192,7 +192,7 @@ class VirtualLine(Port):
         """Bytes wait, or the line has gone."""
         return bool(self._waiting) or "force_torque" in self.world.unplugged
 
-    def put(self, data: bytes) -> None:
+    def deliver(self, data: bytes) -> None:
         """Bytes arrive; the kernel's buffer is as long as a tty's."""
         self._waiting += data[: max(0, 4096 - len(self._waiting))]
         self.filled()

@@ -23,21 +23,21 @@ class DeadlockError(RuntimeError):
 class DatagramReceiver(Protocol):
     """Socket that a datagram can reach."""
 
-    def put(self, data: bytes, source: Address) -> None:
+    def deliver(self, data: bytes, source: Address) -> None:
         """Queue a datagram."""
 
 
 class FrameReceiver(Protocol):
     """Bus that a frame can reach."""
 
-    def put(self, can_id: int, data: bytes, *, extended: bool) -> None:
+    def deliver(self, can_id: int, data: bytes, *, extended: bool) -> None:
         """Queue a frame."""
 
 
 class ByteReceiver(Protocol):
     """Line that bytes can reach."""
 
-    def put(self, data: bytes) -> None:
+    def deliver(self, data: bytes) -> None:
         """Queue bytes."""
 
 

@@ -44,16 +44,16 @@ class VirtualWires:
     def _arrive(self, data: bytes, source: Address, port: int) -> None:
         socket = self._time.sockets.get(port)
         if socket is not None:
-            socket.put(data, source)
+            socket.deliver(data, source)
 
     def _frame(self, data: bytes) -> None:
         can_id, extended = self._emitters.frame
         for bus in self._time.buses:
-            bus.put(can_id, data, extended=extended)
+            bus.deliver(can_id, data, extended=extended)
 
     def _bytes(self, data: bytes) -> None:
         for line in self._time.lines:
-            line.put(data)
+            line.deliver(data)
 
     def _answer(self, data: bytes | None) -> None:
         """Answer as the force-torque sensor: the host has written, or opened its port."""

@@ -79,8 +79,8 @@ class Place:
     cpu: int | None = None
     priority: int | None = None
 
-    def give(self, pid: int) -> None:
-        """Put a process there.
+    def assign(self, pid: int) -> None:
+        """Bring a process to this core and priority.
 
         Raises:
             OSError: refused.
@@ -147,7 +147,7 @@ def start_echo(children: Children, program: Path | None, folder: Path, place: Pl
     command = [sys.executable, "-c", PYTHON_ECHO] if program is None else [str(program), "echo"]
     child = children.start("echo", command, folder / "echo.log")
     port = int(Words(child).await_line("port", children)[1])
-    place.give(child.pid)
+    place.assign(child.pid)
     return port
 
 
@@ -159,7 +159,7 @@ class TimerProgram:
         self._child = children.start(log.stem, command, log)
         self._words = Words(self._child)
         self._words.await_line("ready", children)
-        place.give(self._child.pid)
+        place.assign(self._child.pid)
         self.spikes: list[Spike] = []
 
     def lateness(self) -> WakeLateness:
@@ -198,7 +198,7 @@ class Hogs:
         for number, cpu in enumerate(cpus):
             command = [sys.executable, "-c", HOG]
             hog = children.start(f"hog{number}", command, folder / f"hog{number}.log")
-            Place(cpu=cpu).give(hog.pid)
+            Place(cpu=cpu).assign(hog.pid)
             hog.process.send_signal(signal.SIGSTOP)
             self._hogs.append(hog)
 

@@ -102,8 +102,8 @@ class EchoRequest:
         self._waiting[ipoc] = (time.time_ns(), index)
         self._ear.endpoint.sendto(data, self._ear.target)
 
-    def hear(self) -> bytes | None:
-        """Take the replies that have come, and return the last."""
+    def read_replies(self) -> bytes | None:
+        """Read the replies that have arrived, and return the last."""
         data = None
         for data, stamp_ns in self._ear.arrivals():
             begin = data.find(b"<IPOC>") + 6
@@ -207,7 +207,7 @@ class Player:
 
     def run(self) -> None:
         """Tell of the ports, wait for the order to begin, play until the other end is closed."""
-        self._tell({"can": self._can.path, "force_torque": self._serial.path})
+        self._send_message({"can": self._can.path, "force_torque": self._serial.path})
         self._serial.write(self._sensor.boot())
         order = self._order(patient=True)
         if order is None:
@@ -240,8 +240,8 @@ class Player:
         self._arm.rest()
         for number in range(self._cycles):
             due_ns = self._sleep(due_ns)
-            self._arm.follow(self._robot.hear())
-            self._echo.hear()
+            self._arm.follow(self._robot.read_replies())
+            self._echo.read_replies()
             counting = self._left > 0 and number >= SETTLE
             ipoc = FIRST_IPOC + 4 * number
             telegram = self._arm.telegram(ipoc, number * cycle_ns)
@@ -268,8 +268,8 @@ class Player:
         self._left -= 1
         if self._left == 0:
             self._sleep(time.monotonic_ns() + self._cycle_ns // 4)
-            self._arm.follow(self._robot.hear())
-            self._echo.hear()
+            self._arm.follow(self._robot.read_replies())
+            self._echo.read_replies()
             self._leave()
 
     def _leave(self) -> None:
@@ -277,7 +277,7 @@ class Player:
         if self._file is not None:
             columns = (self._robot.sent_ns, self._robot.took_ns, self._echo.took_ns)
             self._file.write_bytes(b"".join(column.tobytes() for column in columns))
-        self._tell({"measured": len(self._robot.sent_ns), "slips": self.slips})
+        self._send_message({"measured": len(self._robot.sent_ns), "slips": self.slips})
         self.slips = 0
 
     def _listen(self) -> bool:
@@ -300,7 +300,7 @@ class Player:
         data = self._control.recv(4096)
         return json.loads(data) if data else None
 
-    def _tell(self, message: dict[str, Any]) -> None:
+    def _send_message(self, message: dict[str, Any]) -> None:
         self._control.send(json.dumps(message).encode())
 
     def _sleep(self, due_ns: int) -> int:

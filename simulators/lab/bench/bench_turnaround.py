@@ -336,7 +336,7 @@ class _Run:
             ]  # fmt: skip
             log = self._folder / "player.log"
             player = self._children.start("player", command, log, keep=[there.fileno()])
-        self._bench.place("player").give(player.pid)
+        self._bench.place("player").assign(player.pid)
         here.settimeout(START_S)
         return here
 

@@ -202,7 +202,7 @@ class Operator:
         # What is answered later was accepted.
         return answer.get("refused") if isinstance(answer, dict) else None
 
-    def look(self, now_s: float) -> None:
+    def give_order(self, now_s: float) -> None:
         """Give the next order if it is due."""
         simulation = self._simulation
         app = simulation.app

@@ -109,8 +109,8 @@ class FaultOracle:
         if b"nan" in body or b"inf" in body.replace(b"info", b"") or len(data) > 2048:
             self.blame(f"reply: {data[:200]!r}")
 
-    def look(self, cycle: Cycle, now_s: float) -> None:
-        """Look at what a daemon did in one cycle of the controller."""
+    def judge_cycle(self, cycle: Cycle, now_s: float) -> None:
+        """Judge what a daemon did in one cycle of the controller."""
         self.now_s = now_s
         self.states.add(str(cycle.machine.state))
         if cycle.log_dropped:

@@ -29,46 +29,48 @@ def _when(chance: random.Random, first_s: float = FROM_S, last_s: float = UNTIL_
     return round(chance.uniform(first_s, last_s), 3)
 
 
-def _one(*args: Any) -> Changes:
+def _one_fault(*args: Any) -> Changes:
     return {"faults": (Fault(*args),)}
 
 
 def _x1(chance: random.Random, cycle_s: float) -> Changes:
     cycles = chance.choice((8, 60, 1_000_000, 0, round(FIVE_S / cycle_s)))
-    return _one(_when(chance), "robot", "ipoc_jump", 0.0, float(cycles))
+    return _one_fault(_when(chance), "robot", "ipoc_jump", 0.0, float(cycles))
 
 
 def _x2(chance: random.Random, _: float) -> Changes:
-    return _one(_when(chance), "daemon", "pause", chance.choice((0.05, 0.36, 0.72, 1.08, 2.0)))
+    return _one_fault(
+        _when(chance), "daemon", "pause", chance.choice((0.05, 0.36, 0.72, 1.08, 2.0))
+    )
 
 
 def _x3(chance: random.Random, _: float) -> Changes:
-    return _one(_when(chance), "robot", "readdress", 0.0, float(chance.randint(0, 1)))
+    return _one_fault(_when(chance), "robot", "readdress", 0.0, float(chance.randint(0, 1)))
 
 
 def _x4(chance: random.Random, cycle_s: float) -> Changes:
     ahead = float(chance.choice((50, 1000, 1_000_000)))
     lasting_s = round(cycle_s * chance.choice((0.5, 3.0)), 4)
-    return _one(_when(chance), "robot", "forged", lasting_s, ahead, 3)
+    return _one_fault(_when(chance), "robot", "forged", lasting_s, ahead, 3)
 
 
 def _x5(chance: random.Random, _: float) -> Changes:
-    return _one(_when(chance), "daemon", "crash", chance.choice((0.05, 0.1, 0.4, 2.4)))
+    return _one_fault(_when(chance), "daemon", "crash", chance.choice((0.05, 0.1, 0.4, 2.4)))
 
 
 def _x6(chance: random.Random, _: float) -> Changes:
-    return _one(_when(chance), "reply", "loss", 1.0, chance.choice((0.05, 0.1, 0.2)))
+    return _one_fault(_when(chance), "reply", "loss", 1.0, chance.choice((0.05, 0.1, 0.2)))
 
 
 def _x7(chance: random.Random, _: float) -> Changes:
     at_s, lasting_s = chance.choice(((_when(chance), 1.0), (BEGIN_S, 3.6)))
-    return _one(at_s, "robot", "jitter", lasting_s, chance.choice(JITTERS_S))
+    return _one_fault(at_s, "robot", "jitter", lasting_s, chance.choice(JITTERS_S))
 
 
 def _x8(chance: random.Random, _: float) -> Changes:
     link = chance.choice(("robot", "reply"))
     lasting_s = round(chance.uniform(0.02, 0.14), 3)
-    changes = _one(_when(chance, TOUCH_S - 0.1), link, "silence", lasting_s)
+    changes = _one_fault(_when(chance, TOUCH_S - 0.1), link, "silence", lasting_s)
     return changes | _line(chance)
 
 
@@ -124,7 +126,7 @@ def _x12(chance: random.Random, _: float) -> Changes:
             ("clock_step", -0.02, 1),
         )
     )
-    return _one(max(at_s, BEGIN_S), "camera", kind, lasting_s, value, count)
+    return _one_fault(max(at_s, BEGIN_S), "camera", kind, lasting_s, value, count)
 
 
 def _x13(chance: random.Random, _: float) -> Changes:
@@ -142,7 +144,7 @@ def _x13(chance: random.Random, _: float) -> Changes:
     if kind == "both":
         silent = (Fault(at_s, link, "silence", lasting_s) for link in ("camera", "distance"))
         return {"faults": tuple(silent)}
-    return _one(at_s, "distance", kind, lasting_s, value)
+    return _one_fault(at_s, "distance", kind, lasting_s, value)
 
 
 def _x14(chance: random.Random, _: float) -> Changes:
@@ -160,12 +162,12 @@ def _x14(chance: random.Random, _: float) -> Changes:
         )
     )
     lasting_s = round(chance.uniform(0.3, 1.0), 3)
-    return _one(_when(chance, 0.9), "force_torque", kind, lasting_s, value, count)
+    return _one_fault(_when(chance, 0.9), "force_torque", kind, lasting_s, value, count)
 
 
 def _x15(chance: random.Random, _: float) -> Changes:
     off = chance.choice(OFFSETS_M) * chance.choice((1.0, -1.0))
-    return _one(BEGIN_S, "camera", "offset", 4.0, off, 3)
+    return _one_fault(BEGIN_S, "camera", "offset", 4.0, off, 3)
 
 
 def _x16(chance: random.Random, _: float) -> Changes:
@@ -180,7 +182,9 @@ def _x17(chance: random.Random, _: float) -> Changes:
         (("exponent", 1.0), ("exponent", 0.3), ("unreadable", 0.05), ("unreadable", 1.0))
     )
     lasting_s = 3.6 if kind == "exponent" else round(chance.uniform(0.1, 1.0), 3)
-    return _one(BEGIN_S if kind == "exponent" else _when(chance), "robot", kind, lasting_s, value)
+    return _one_fault(
+        BEGIN_S if kind == "exponent" else _when(chance), "robot", kind, lasting_s, value
+    )
 
 
 def _x19(chance: random.Random, _: float) -> Changes:
@@ -193,7 +197,7 @@ def _x19(chance: random.Random, _: float) -> Changes:
 
 
 def _r9(chance: random.Random, _: float) -> Changes:
-    return _one(_when(chance), "robot", "drives_off", round(chance.uniform(0.3, 1.0), 3))
+    return _one_fault(_when(chance), "robot", "drives_off", round(chance.uniform(0.3, 1.0), 3))
 
 
 ROWS: dict[str, Callable[[random.Random, float], Changes]] = {

@@ -154,7 +154,7 @@ class PlantOracle:
         self._forces: deque[float] = deque(maxlen=max(1, round(0.2 / cycle_s)))
         self._stiffness = world.scenario.effector.stiffness[0]
 
-    def look(self, seen: Seen) -> None:
+    def judge_cycle(self, seen: Seen) -> None:
         """Judge one cycle."""
         world = self._world
         rigid, hub, bent = world.rigid(), world.hub(), world.deflection()

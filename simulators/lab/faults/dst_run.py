@@ -306,7 +306,7 @@ class Simulation:
         if self._cycle or self.robot.is_open:
             self._hash.update(_SEVEN.pack(*self.robot.close()))
             self._cycle += 1
-            self._look()
+            self._judge_cycle()
         if self._is_over:
             self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
             self._exchange()
@@ -315,7 +315,7 @@ class Simulation:
         for fault in self._faults.strike(self.now_s):
             self._strike(fault)
         self._stall()
-        self.operator.look(self.now_s)
+        self.operator.give_order(self.now_s)
         self._exchange()
         self._time.at(EPOCH_NS + (self._cycle + 1) * self._cycle_ns, self._begin_cycle)
 
@@ -342,14 +342,14 @@ class Simulation:
             else:
                 self._wires.send_sensor(_ns(at_s), link, piece)
 
-    def _look(self) -> None:
+    def _judge_cycle(self) -> None:
         """Judge the cycle that was closed."""
         app, now_s = self.app, self.now_s
         machine = None if app is None else app.cycle.machine
         if app is None or self.is_stalled:
             self._ready_s = now_s
         self.oracle.now_s = now_s
-        self.plant_oracle.look(
+        self.plant_oracle.judge_cycle(
             Seen(
                 now_s=now_s,
                 state=None if machine is None else machine.state,
@@ -365,7 +365,7 @@ class Simulation:
             )
         )
         if app is not None:
-            self.oracle.look(app.cycle, now_s)
+            self.oracle.judge_cycle(app.cycle, now_s)
             if app.cycle.machine.state in {State.TRACK, State.CONTACT}:
                 self.tracked_s = self.now_s
         if not self._is_over and not self._goes_on(app):
@@ -471,9 +471,9 @@ class Simulation:
         if self._faults.in_force("robot", "deafness", self.now_s) is None:
             sent_s = _seconds(self._time.now_ns + THINKING_NS)
             for at_s, piece in self._back.carry(data, sent_s):
-                self._time.at(_ns(at_s) + TRANSIT_NS, partial(self._hear, piece))
+                self._time.at(_ns(at_s) + TRANSIT_NS, partial(self._on_reply, piece))
 
-    def _hear(self, data: bytes) -> None:
+    def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
 
     def _plug(self, now_s: float) -> None:

@@ -256,7 +256,7 @@ class ShiftRun:
         """Let the next car enter once it is due and the robot stands."""
         if time.monotonic() > self._last_entry_s:
             self._feeder.close()
-        event = self._feeder.look(self.controller.setpoints, self._cycle)
+        event = self._feeder.next_event(self.controller.setpoints, self._cycle)
         if self._feeder.complaint is not None:
             self._complaints.append(self._feeder.complaint)
         if self._feeder.is_over:
@@ -306,9 +306,9 @@ class ShiftRun:
     def _replied(self, data: bytes, _source: Address, target: Address) -> None:
         if target == ROBOT and self._paused_until_s is None:
             at_ns = self._time.now_ns + TRANSIT_NS
-            self._time.at(at_ns, partial(self._hear, data))
+            self._time.at(at_ns, partial(self._on_reply, data))
 
-    def _hear(self, data: bytes) -> None:
+    def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
 
 

@@ -86,10 +86,10 @@ def split(
 def perform(share: ShiftShare) -> ShiftOutcome:
     """Run a share in this process."""
     station = line_station.station(share.cell)
-    return run(station, share.cars, share.takt_s, on_car=_tell, longest_s=share.longest_s)
+    return run(station, share.cars, share.takt_s, on_car=_print_car, longest_s=share.longest_s)
 
 
-def _tell(car: Car, truth: CarTruth) -> None:
+def _print_car(car: Car, truth: CarTruth) -> None:
     """Print a line a car on standard error, as it leaves."""
     outcome = "mounted" if truth.mounted else truth.collision or "not mounted"
     print(f"{car.part} {car.variant}: {outcome} {car.fault or ''}", file=sys.stderr, flush=True)

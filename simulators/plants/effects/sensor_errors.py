@@ -98,7 +98,7 @@ class CameraErrors:
         self._blur = Draws.normal(seed, "camera.blur")
         self._stamp = Draws.uniform(seed, "camera.stamp")
         self._view = Draws.uniform(seed, "camera.view")
-        self._walk = self._noise.take(6)
+        self._walk = self._noise.next_numbers(6)
         self._place: Vec | None = None
         self._distance = -math.inf
         # Instant and distance at which the wheel began to hide the hub.
@@ -114,7 +114,7 @@ class CameraErrors:
     def stamp(self, exposure_s: float) -> float:
         """Return the instant that the camera states for an exposure."""
         effects = self._effects
-        jitter = effects.stamp_jitter_s * (2.0 * self._stamp.one() - 1.0)
+        jitter = effects.stamp_jitter_s * (2.0 * self._stamp.next_number() - 1.0)
         return exposure_s + effects.stamp_bias_s + jitter
 
     def is_hidden(self, exposure_s: float, seen: Pose, distance: float) -> bool:
@@ -124,7 +124,7 @@ class CameraErrors:
             seen: hub in the true camera.
             distance: tcp to hub [m].
         """
-        effects, chance = self._effects, self._view.one()
+        effects, chance = self._effects, self._view.next_number()
         if any(each.begin_s <= exposure_s < each.end_s for each in effects.occlusions):
             return True
         if effects.blind_before_contact_s and self._is_covered(exposure_s, distance):
@@ -135,7 +135,7 @@ class CameraErrors:
         """Return a hub in the camera with bias, correlated noise and blur; once an exposure."""
         effects, decay = self._effects, self._decay
         spread = math.sqrt(1.0 - decay * decay)
-        draws = self._noise.take(6)
+        draws = self._noise.next_numbers(6)
         self._walk = [decay * w + spread * d for w, d in zip(self._walk, draws, strict=True)]
         a, b, c, *twist = self._walk
         size = effects.correlated_sigma + effects.correlated_sigma_per_metre * distance
@@ -154,7 +154,7 @@ class CameraErrors:
         share = self._effects.exposure_time_s / self._period / math.sqrt(12.0)
         x, y, z = (
             share * draw * (now - old)
-            for draw, now, old in zip(self._blur.take(3), place, before, strict=True)
+            for draw, now, old in zip(self._blur.next_numbers(3), place, before, strict=True)
         )
         return (x, y, z)
 
@@ -191,5 +191,5 @@ class DistanceErrors:
     def disturb(self, position: float) -> float:
         """Return a position as the sensor feels it; once an instant."""
         if self._step:
-            self._drift += self._step * self._noise.one()
+            self._drift += self._step * self._noise.next_number()
         return position * (1.0 - self._effects.slip) + self._drift
