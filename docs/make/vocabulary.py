@@ -1,4 +1,4 @@
-"""Check the vocabulary: words, docstring entries, and names with one meaning.
+"""Check the vocabulary: words, docstring entries, empty names, and names with one meaning.
 
 ``python docs/make/vocabulary.py [--count] [FOLDER ...]`` prints each hit as ``file:line`` and ends
 with 1 if there is one. Folders limit the files that are read.
@@ -171,6 +171,15 @@ FAMILY_PLACES = (
     "daemon/operator/export_command.py",
     "daemon/recording/step_codec.py",
 )
+# Names that do not say what they hold or do. A part of a longer name is fine: push_sample.
+VARIABLES = {"found", "made", "told", "said", "one", "took", "got", "gave", "came", "went"}
+FUNCTIONS = {"take", "put", "look", "tell", "give", "hear", "say", *VARIABLES}
+
+# File: such names that it has, and why.
+NAMED: dict[str, tuple[str, ...]] = {
+    # A configuration key: tracking.sway.found.
+    "daemon/core/tracking/settings.py": ("found",),
+}
 
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry
 CLASSES_USED_TWICE = 8
@@ -234,6 +243,24 @@ def check(path: str, text: str) -> Iterator[tuple[str, int, str]]:
             yield path, plain.count("\n", 0, match.start()) + 1, f"'{word}': write {instead}"
     if path.endswith(".py"):
         yield from short_entries(path, text)
+        if not path.startswith("tests/"):
+            yield from empty_names(path, text)
+
+
+def empty_names(path: str, text: str) -> Iterator[tuple[str, int, str]]:
+    """Yield the functions, arguments and variables whose name says nothing."""
+    for node in ast.walk(ast.parse(text)):
+        name, words = "", VARIABLES
+        match node:
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
+                words = FUNCTIONS
+            case ast.arg(arg=name) | ast.Name(id=name, ctx=ast.Store()):
+                pass
+            case ast.Attribute(attr=name, ctx=ast.Store()):
+                pass
+        if name.strip("_") in words and name not in NAMED.get(path, ()):
+            what = "verb and object" if words is FUNCTIONS else "what it holds"
+            yield path, getattr(node, "lineno", 1), f"name '{name}': write {what}"
 
 
 def short_entries(path: str, text: str) -> Iterator[tuple[str, int, str]]:
