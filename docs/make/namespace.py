@@ -1,14 +1,18 @@
-"""Search path of the import contracts: ``linemate`` as a namespace of four packages.
+"""Import contracts of this project, and their search path: ``linemate`` as a namespace.
 
 The tool that reads the imports takes a package below ``linemate`` as a root only if ``linemate``
 is a namespace. Installed, it is a package of its own, with the names of ``import linemate``.
 ``.typing`` shows it as a namespace, as mypy needs it too. ``lint-imports`` imports this module
-for its contract type before it reads any package.
+for its contract types before it reads any package.
 """
 
 import sys
+from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+from grimp import ImportGraph
+from importlinter import Contract, ContractCheck, fields, output
 from importlinter.contracts.layers import LayersContract
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / ".typing"))
@@ -16,3 +20,38 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / ".typing"))
 
 class NamespaceLayers(LayersContract):
     """Contract of layers, read below the namespace."""
+
+
+class AcyclicModules(Contract):
+    """Contract: no module imports itself by way of others."""
+
+    def check(self, graph: ImportGraph, verbose: bool) -> ContractCheck:  # noqa: ARG002
+        """Return whether there is no circle, or the first one."""
+        imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+        try:
+            TopologicalSorter(imports).prepare()
+        except CycleError as error:
+            return ContractCheck(kept=False, metadata={"circle": error.args[1]})
+        return ContractCheck(kept=True)
+
+    def render_broken_contract(self, check: ContractCheck) -> None:
+        """Print the circle."""
+        output.print_error(" -> ".join(check.metadata["circle"]))
+
+
+class SmallPackages(Contract):
+    """Contract: at most so many modules in a package, ``__init__`` not counted."""
+
+    most = fields.IntegerField(minimum=1)
+
+    def check(self, graph: ImportGraph, verbose: bool) -> ContractCheck:  # noqa: ARG002
+        """Return whether each package is small enough, or those that are not."""
+        parents = {name.rpartition(".")[0] for name in graph.modules}
+        count = Counter(name.rpartition(".")[0] for name in graph.modules if name not in parents)
+        large = {name: number for name, number in count.items() if name and number > self.most}
+        return ContractCheck(kept=not large, metadata={"large": large})
+
+    def render_broken_contract(self, check: ContractCheck) -> None:
+        """Print the packages that are too large."""
+        for name, number in check.metadata["large"].items():
+            output.print_error(f"{name}: {number} modules, limit {self.most}")

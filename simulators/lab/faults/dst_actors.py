@@ -4,18 +4,20 @@ Invariants:
     Each acts once a cycle and knows only the daemon's answers.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from msgspec.structs import replace
 
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
+from linemate.simulators.devices.robot_plant import RobotPlant
+from linemate.simulators.devices.rsi_controller import RsiController
+from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.contact_plant import RELEASE_WHEEL
 from linemate.simulators.plants.scenario import Vector7
-
-if TYPE_CHECKING:
-    from linemate.simulators.lab.faults.dst_run import Simulation
+from linemate.simulators.plants.world import World
 
 HOMING_S = 0.5
 HOMING_SPEED = 0.8
@@ -40,6 +42,27 @@ DITHERING_S = 0.2
 """Time that the operator waits in a hold before starting again [s]."""
 
 
+class SimulatedRun(Protocol):
+    """A run as its actors see it."""
+
+    plan: FaultPlan
+    world: World
+    plant: RobotPlant
+    controller: RsiController
+    oracle: FaultOracle
+    app: App | None
+    robot: "Programme"
+    tracked_s: float
+
+    @property
+    def is_stalled(self) -> bool:
+        """Whether the host of the daemon is stopped."""
+
+    @property
+    def host_ns(self) -> int:
+        """Time of the daemon's host [ns]."""
+
+
 class Programme:
     """The controller's program: pauses, brakes, drives home, starts again.
 
@@ -51,7 +74,7 @@ class Programme:
         orders: the tool's signals, as ordered.
     """
 
-    def __init__(self, simulation: "Simulation") -> None:
+    def __init__(self, simulation: SimulatedRun) -> None:
         self._simulation = simulation
         self._controller = simulation.controller
         self._plant = simulation.plant
@@ -163,7 +186,7 @@ class Operator:
         homing_s: time that the daemon brought the robot home [s].
     """
 
-    def __init__(self, simulation: "Simulation") -> None:
+    def __init__(self, simulation: SimulatedRun) -> None:
         self._simulation = simulation
         self._started = False
         self._waited_s = 0.0
