@@ -95,9 +95,9 @@ class NamedFiles:
         self.variants[variant] = task
 
     def _read_controller(self) -> None:
-        found = controller_section.read_file(self._kind, self._values, self._base)
-        if found is not None:
-            self.controller, self.texts[self._kind.value] = found
+        content = controller_section.read_file(self._kind, self._values, self._base)
+        if content is not None:
+            self.controller, self.texts[self._kind.value] = content
 
     def _read_dbc(self) -> None:
         if not self._values.has("distance"):

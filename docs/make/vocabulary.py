@@ -231,9 +231,9 @@ def check(path: str, text: str) -> Iterator[tuple[str, int, str]]:
     allowed = ALLOWED.get(path, ())
     is_neutral = path.startswith(("daemon/", "drivers/", "protocol/")) and path.endswith(".py")
     if is_neutral and not path.startswith(FAMILY_PLACES):
-        for found in FAMILY_WORD.finditer(text):
-            line = text.count("\n", 0, found.start()) + 1
-            yield path, line, f"{found[0]}: a word of one family, in neutral code"
+        for match in FAMILY_WORD.finditer(text):
+            line = text.count("\n", 0, match.start()) + 1
+            yield path, line, f"{match[0]}: a word of one family, in neutral code"
     plain = _CAMEL.sub(" ", text).replace("_", " ").lower()
     for word, instead in WORDS.items():
         if word in allowed:

@@ -99,11 +99,11 @@ def folder(name: str) -> Path:
     Raises:
         SetupError: no such cell.
     """
-    found = DATA / name if name in shipped() else Path(name)
-    if not (found / CONFIG).is_file():
+    place = DATA / name if name in shipped() else Path(name)
+    if not (place / CONFIG).is_file():
         near = near_names(name, shipped()) or f"; there are {', '.join(shipped())}"
         raise SetupError(f"--cell {name}: neither a shipped cell nor a folder with {CONFIG}{near}")
-    return found
+    return place
 
 
 def _refuse_missing_axis(station: LoadedConfig) -> None:

@@ -46,9 +46,9 @@ class LineStation:
     @property
     def production(self) -> ProductionSettings:
         """The section ``production``."""
-        found = self.files.config.production
-        assert found is not None  # noqa: S101 - ``station`` refuses a file without it
-        return found
+        section = self.files.config.production
+        assert section is not None  # noqa: S101 - ``station`` refuses a file without it
+        return section
 
     @property
     def variants(self) -> tuple[str, ...]:
