@@ -21,6 +21,7 @@ Text = Annotated[str, Len(1, 4096)]
 VariantName = Annotated[str, Len(1, 32)]
 Along = Annotated[float, Ge(-30.0), Le(30.0)]  # position on the conveyor [m]
 Count = Annotated[int, Ge(1), Le(1_000_000)]
+Cycle = Annotated[int, Ge(1), Le(24)]
 Constant = bool | int | float | str
 Groups = Annotated[tuple[Text, ...], Len(0, 32)]
 EGM_PORT = 6510  # of the UdpUc device in ABB's examples
@@ -62,8 +63,7 @@ class RsiSettings:
         config: the controller's own RSI_EthernetConfig.xml; a bare name may be a shipped one.
         bind: numeric address to listen on.
         port: None takes the port of the controller's file, 0 any free port.
-        cycle_ms: period of the controller [ms]. KUKA has 12 and 4, the others are for
-            measurements.
+        cycle_ms: period of the controller [ms]. KUKA has 12 and 4.
         corrections: ``absolute`` (AK(k) = q_c(k) - q_start) or ``relative``.
         linear_axes: external axes that are linear; the others rotate.
         peer: the only address that is answered. None: any address.
@@ -74,7 +74,7 @@ class RsiSettings:
     config: Text = "rsi_joints.xml"
     bind: Text = "127.0.0.1"
     port: Port | None = None
-    cycle_ms: Literal[1, 2, 4, 12] = 12
+    cycle_ms: Cycle = 12
     corrections: Corrections = Corrections.ABSOLUTE
     linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
     peer: Text | None = None
@@ -89,7 +89,7 @@ class EgmSettings:
         bind: numeric address to listen on.
         port: UDP port that the controller sends to (UdpUc device of EGMSetupUC); 0 any free port.
         cycle_ms: period of the controller, SampleRate of EGMActJoint [ms]. ABB has multiples of
-            4, the others are for measurements.
+            4.
         robotware: generation of the controller; a message of the other one is refused.
         signals: the tool's signals are the first number of RAPIDtoRobot and RAPIDfromRobot, which
             RobotWare 7 has.
@@ -99,7 +99,7 @@ class EgmSettings:
 
     bind: Text = "127.0.0.1"
     port: Port = EGM_PORT
-    cycle_ms: Literal[1, 2, 4, 8, 12, 16, 20, 24] = 4
+    cycle_ms: Cycle = 4
     robotware: Literal[6, 7] = 7
     signals: bool = True
     linear_axes: Annotated[tuple[ExternalAxis, ...], Len(0, 6)] = ("E1",)
@@ -129,7 +129,7 @@ class FanucSettings:
     bind: Text = "127.0.0.1"
     port: Port = 0
     version: Literal[3, 4] = 3
-    cycle_ms: Literal[1, 2, 4, 8] = 8
+    cycle_ms: Cycle = 8
     coupled: bool = False
     rail: bool = False
     signals_byte: Annotated[int, Ge(0), Le(255)] | None = None

@@ -29,7 +29,7 @@ FAMILIES = (RSI, FANUC, EGM)
 CYCLE_MS = {RSI: 12.0, FANUC: 8.0, EGM: 4.0}
 """Period of a family's controller unless another one is asked for [ms]."""
 
-CYCLES_MS = {RSI: (4.0, 12.0), FANUC: (4.0, 8.0), EGM: (4.0, 8.0, 12.0, 24.0)}
+CYCLES_MS = {RSI: (4.0, 8.0, 12.0, 24.0), FANUC: (4.0, 8.0), EGM: (4.0, 8.0, 12.0, 24.0)}
 """Periods of the demonstration [ms]."""
 
 RSI_CONFIG = "rsi_joints.xml"

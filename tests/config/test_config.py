@@ -82,12 +82,25 @@ control: {horizon_s: 0.25}
     assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
 
 
+@pytest.mark.parametrize("family", ["rsi", "egm", "fanuc"])
+def test_any_cycle_from_1_to_24_ms_is_taken(write: Write, family: str) -> None:
+    peer = "peer: 192.0.2.10, rail: true, signals_byte: 0, " if family == "fanuc" else ""
+    text = f"task: wheel.yaml\ncontroller: {{kind: {family}}}\n{family}: {{{peer}cycle_ms: "
+    for cycle_ms in range(1, 25):
+        assert config.load(write(text + f"{cycle_ms}}}\n")).cycle_s == pytest.approx(
+            1e-3 * cycle_ms
+        )
+    for wrong in ("0", "25", "4.5"):
+        (line,) = errors(write(text + wrong + "}\n"))
+        assert f"{family}.cycle_ms: " in line
+
+
 def test_every_error_of_every_file_is_reported_at_once(write: Write, tmp_path: Path) -> None:
     (tmp_path / "task.yaml").write_text("name: 3\narm: {urdf: none.urdf}\n")
     path = write(
         """
 task: task.yaml
-rsi: {config: nope.xml, cycle_ms: 5, bind: localhost}
+rsi: {config: nope.xml, cycle_ms: 25, bind: localhost}
 distance: {can: {channel: x}, message: Missing}
 camera: {port: 70000, port: 1}
 command: {socket: /nonexistent/s, udp: {bind: 192.0.2.1, keys: keys}}
@@ -328,7 +341,7 @@ def test_an_abb_controller_needs_no_file_and_has_its_own_period_and_port(write: 
         ("egm: {robotware: 6}", "egm.robotware: waypoints[5] waits for screws_fixed: signals need"),
         ("egm: {signals: false}", "egm.signals: waypoints[5] waits for screws_fixed"),
         ("egm: {bind: here}", "egm.bind"),
-        ("egm: {cycle_ms: 5}", "egm.cycle_ms"),
+        ("egm: {cycle_ms: 25}", "egm.cycle_ms"),
         ("egm: {robotware: 5}", "egm.robotware"),
         ("egm: {linear_axes: [E2]}", "egm.linear_axes: the task's arm stands on E1"),
         ("camera: {port: 6510}", "camera.port: 6510 is egm.port's already"),

@@ -133,7 +133,7 @@ class CrxRun(Lockstep):
         self.crx = CrxController(self._plant, version)
         self.controller = self.crx
         link = families.FanucLink(version, on_rail=True)
-        self.cycle = _cycle(self, link)
+        self.cycle = cycle_with(self, link)
 
     def play(self, cycles: int) -> dict[str, Any]:
         """Exchange so many packets in the task."""
@@ -155,7 +155,7 @@ class CrxRun(Lockstep):
         }
 
 
-def _cycle(run: Lockstep, link: Any) -> Any:
+def cycle_with(run: Lockstep, link: Any) -> Any:
     """Return a cycle with another link, in the place of a run's own."""
     from linemate.daemon.cycle.cycle import Cycle
     from linemate.simulators.harness.sensor_links import SensorLinks

@@ -378,7 +378,7 @@ def test_a_bad_configuration_is_reported_and_not_tried_again(machine: Machine) -
     machine.run("systemctl", "stop", UNIT)
     path = "/etc/linemate/linemated.yaml"
     machine.run("cp", path, "/etc/linemate/good.yaml")
-    machine.run("sh", "-c", f"echo 'rsi: {{cycle_ms: 5}}' >>{path}")
+    machine.run("sh", "-c", f"echo 'rsi: {{cycle_ms: 25}}' >>{path}")
     try:
         machine.run("systemctl", "start", UNIT, check=False)
         # The reason why it stays failed, and not for a moment only until its restart.
