@@ -1,14 +1,21 @@
-"""Tables of docs/accuracy.md: by lag of the controller, by cycle, by family of the controller."""
+"""Tables and figure of docs/accuracy.md: by lag of the controller, by cycle, by family.
+
+``python -m docs.make.lag_results`` draws docs/lag.png from the stored results.
+"""
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 Result = dict[str, Any]
 Load = Callable[[str], Result]
 Has = Callable[[str], bool]
 
+FILE = Path(__file__).resolve().parents[1] / "lag.png"
 COMMAND = "python -m linemate.simulators.lab.lag"
+CURVE = "lag-curve"
 COMMANDS = {
+    CURVE: f"{COMMAND} --curve --seeds 8",
     "lag": f"{COMMAND} --seeds 4",
     "cycles": f"{COMMAND} --seeds 4 --cycles",
 }
@@ -21,11 +28,14 @@ CAMPAIGNS = {
     "campaign-fanuc": "linemate-sim campaign --seeds 40 --controller fanuc --json",
     "campaign-egm": "linemate-sim campaign --seeds 40 --controller egm --json",
 }
+STOP = "total_error.stop.max_mm"
+DECELERATION = 0.104  # of the conveyor [m/s^2]
+SEEN_S = 0.15  # a stop is seen after this long [s]
 REFERENCE_MS = "4"  # cycle with which the others are compared
 CONTROL = "control_error.approach.max_mm"
 COLUMNS = (
     ("control error, approach, mm", CONTROL),
-    ("total error after a stop, mm", "total_error.stop.max_mm"),
+    ("total error after a stop, mm", STOP),
     ("total error at impact, mm", "total_error.impact.max_mm"),
     ("contact force, N", "contact_force_n.max"),
     ("violations of limits", "limits.violations"),
@@ -106,3 +116,52 @@ def _cell(figure: Mapping[str, Any] | None) -> str:
     if figure is None or figure["worst"] is None:
         return "-"
     return f"{figure['median']:.3g} ({figure['worst']:.3g})"
+
+
+def by_curve(load: Load, has: Has) -> str:
+    """Return a row for each dead time of the figure: measured and by the law of the stop."""
+    if not has(CURVE):
+        return _not_measured(CURVE)
+    head = [f"[dead time, ms](results/{CURVE}.json)", *(label for label, _ in COLUMNS[:3]),
+            "a t^2 / 2, mm", "t without the dead time, s"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for label, row in load(CURVE).items():
+        lag_s, stop_mm = 1e-3 * float(label), row[STOP]["median"]
+        after_s = (2e-3 * stop_mm / DECELERATION) ** 0.5 - lag_s
+        cells = [label, *(_cell(row.get(key)) for _, key in COLUMNS[:3]),
+                 f"{law_mm(lag_s):.2f}", f"{after_s:.3f}"]  # fmt: skip
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def law_mm(lag_s: float) -> float:
+    """Return how far a conveyor lags that stops, until what was seen of it is acted upon [mm]."""
+    return 1e3 * 0.5 * DECELERATION * (SEEN_S + lag_s) ** 2
+
+
+def draw(load: Load) -> Any:
+    """Return the figure: total error after a stop by dead time, measured and by the law."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    rows = load(CURVE)
+    lags = [float(label) for label in rows]
+    figure = Figure(figsize=(7.0, 3.6), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    law = f"a t$^2$/2, a = {DECELERATION:g} m/s$^2$, t = {SEEN_S:g} s + dead time"
+    axis.plot(lags, [law_mm(1e-3 * lag) for lag in lags], "--", color="gray", label=law)
+    for key, style, name in (("median", "o-", "median"), ("worst", "^:", "worst run")):
+        axis.plot(lags, [row[STOP][key] for row in rows.values()], style, label=f"measured, {name}")
+    axis.set_xlabel("dead time of the slowest axis, ms")
+    axis.set_ylabel("total error after a stop, mm")
+    axis.set_ylim(bottom=0.0)
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    from docs.make import results
+
+    draw(results.load).savefig(FILE, metadata={"Software": None})

@@ -21,6 +21,15 @@ def test_a_cycle_is_compared_with_the_one_of_4_ms() -> None:
 
 
 def test_what_was_not_measured_says_so() -> None:
-    for table in (lag_results.by_lag, lag_results.by_cycle):
+    for table in (lag_results.by_lag, lag_results.by_cycle, lag_results.by_curve):
         assert "Not measured yet" in table(lambda _: {}, lambda _: False)
     assert len(lag_results.by_family(lambda _: {}, lambda _: False).splitlines()) == 2
+
+
+def test_the_curve_shows_the_law_of_a_stop_next_to_what_was_measured() -> None:
+    stop = {lag_results.STOP: {"median": 1.8, "worst": 2.2}}
+    text = lag_results.by_curve(lambda _: {"50": row(0.1) | stop}, lambda _: True)
+    # By hand: 0.104 * 0.2^2 / 2 is 2.08 mm; 1.8 mm are 0.186 s, 50 ms of them dead time.
+    assert text.splitlines()[2] == "| 50 | 0.1 (0.2) | 1.8 (2.2) | - | 2.08 | 0.136 |"
+    drawn = lag_results.draw(lambda _: {"20": row(0.1) | stop, "50": row(0.1) | stop})
+    assert len(drawn.axes[0].lines) == 3
