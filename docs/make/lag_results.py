@@ -15,7 +15,7 @@ FILE = Path(__file__).resolve().parents[1] / "lag.png"
 COMMAND = "python -m linemate.simulators.lab.lag"
 CURVE = "lag-curve"
 COMMANDS = {
-    CURVE: f"{COMMAND} --curve --seeds 8",
+    CURVE: f"{COMMAND} --curve --seeds 4",
     "lag": f"{COMMAND} --seeds 4",
     "cycles": f"{COMMAND} --seeds 4 --cycles",
 }

@@ -39,7 +39,8 @@ def test_rsipis_client_holds_and_moves_the_emulated_robot(
     (tmp_path / "long.yaml").write_text("name: long\nduration_s: 60.0\n")
     emulator = tmp_path / "emulator.yaml"
     emulator.write_text(
-        "scenario: long.yaml\ncycle_ms: 12\nrsi_xml: rsi.xml\ncontroller: {patient: true, timeout: 10000}\n"
+        "scenario: long.yaml\ncycle_ms: 12\nrsi_xml: rsi.xml\n"
+        "controller: {patient: true, timeout: 10000}\n"
     )
     idle, motion = 100, 400
     seen, facts = driven(emulator, CLIENT, [str(config), str(idle), str(motion), "12"], 120.0)
