@@ -1,19 +1,27 @@
 """Fuzzing of every wire: ``python tests/fuzz.py [WIRE ...] [--inputs N] [--atheris SECONDS]``.
 
 Any bytes give a value or the wire's own error, and nothing else; that is the
-whole check. Inputs are whole messages that were cut, joined, flipped and overwritten, by seed; with
-``--atheris`` libFuzzer looks for them instead, where it is installed.
+whole check. Inputs are whole messages that were cut, joined, flipped and overwritten, by seed.
+
+With ``--atheris`` libFuzzer looks for them instead, guided by coverage, where it is installed. What
+reaches a branch that nothing before did is kept in ``CORPUS``, and ``test_fuzz`` reads it again.
 """
 
 import argparse
 import contextlib
+import gc
 import random
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import FunctionType
 from typing import Any
+
+import msgspec
 
 from linemate.protocol.command import frame_codec, payloads, requests
 from linemate.protocol.egm import messages
@@ -32,6 +40,7 @@ from linemate.protocol.sensors.ft300 import ft300_frame
 from linemate.protocol.sensors.wrench import make_decoder
 
 DATA = Path(__file__).resolve().parents[1] / "protocol" / "data"
+CORPUS = Path(__file__).parent / "data" / "fuzz_corpus.msgpack"
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
 INTERESTING = (
     b"nan", b"inf", b"1e999", b"-0", b"<!", b"&#0;", b"]]>", b"\x00", b"\xff" * 8, b"\x7f" * 8,
@@ -266,19 +275,49 @@ def run(name: str, inputs: int, seed: int = 0) -> int:
     return taken
 
 
-def _with_atheris(name: str, seconds: int) -> None:
+def corpus() -> dict[str, list[bytes]]:
+    """Return the kept inputs of each wire, found by coverage."""
+    kept = msgspec.msgpack.decode(CORPUS.read_bytes(), type=dict[str, list[bytes]])
+    return {name: kept.get(name, []) for name in wires()}
+
+
+def explore(name: str, seconds: int) -> None:
+    """Let libFuzzer look for inputs of one wire, and keep those that reach more branches.
+
+    Raises:
+        CalledProcessError: one gave something else than a value or the wire's own error.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        found, least = Path(folder) / "found", Path(folder) / "least"
+        least.mkdir()
+        found.mkdir()
+        for n, data in enumerate((*wires()[name].examples, *corpus()[name])):
+            (found / f"{n}").write_bytes(data)
+        for words in ([f"-max_total_time={seconds}", found], ["-merge=1", least, found]):
+            command = [sys.executable, __file__, "--libfuzzer", name, *map(str, words)]
+            subprocess.run(command, check=True, cwd=folder)
+        inputs = sorted(file.read_bytes() for file in least.iterdir())
+    CORPUS.write_bytes(msgspec.msgpack.encode(corpus() | {name: inputs}))
+    print(f"{name}: {len(inputs)} inputs kept", flush=True)
+
+
+def _with_libfuzzer(name: str, words: Sequence[str]) -> None:
+    """Be libFuzzer's process; it ends with the process."""
     import atheris  # type: ignore[import-not-found]
 
     wire = wires()[name]
 
     def one(data: bytes) -> None:
-        try:
+        with contextlib.suppress(ProtocolError):
             wire.parse(data)
-        except ProtocolError:
-            return
 
-    atheris.instrument_all()
-    atheris.Setup([sys.argv[0], f"-max_total_time={seconds}", f"-max_len={LONGEST}"], one)
+    ours = "linemate.protocol"
+    for each in gc.get_objects():  # to instrument all of numpy would take minutes
+        if isinstance(each, FunctionType) and (each.__module__ or "").startswith(ours):
+            atheris.instrument_func(each)
+    # A merge starts this command again, by a shell.
+    command = f"{sys.executable} {__file__} --libfuzzer {name}"
+    atheris.Setup([command, f"-max_len={LONGEST}", "-verbosity=0", *words], one)
     atheris.Fuzz()
 
 
@@ -288,10 +327,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("wires", nargs="*", default=sorted(wires()), metavar="WIRE")
     parser.add_argument("--inputs", type=int, default=1_000_000, help="for each wire")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--atheris", type=int, metavar="SECONDS", help="with libFuzzer, one wire")
-    args = parser.parse_args(argv)
+    parser.add_argument("--atheris", type=int, metavar="SECONDS", help="with libFuzzer, a wire")
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words[:1] == ["--libfuzzer"]:
+        _with_libfuzzer(words[1], words[2:])
+    args = parser.parse_args(words)
     if args.atheris:
-        _with_atheris(args.wires[0], args.atheris)
+        for name in args.wires:
+            explore(name, args.atheris)
         return 0
     for name in args.wires:
         begun = time.monotonic()
