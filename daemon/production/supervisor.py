@@ -162,6 +162,8 @@ class Supervisor:
         machine, self._decisions = view.machine, view.decisions
         if machine.state is State.RETREAT:
             self._was_programmed = machine.programmed
+            if not machine.programmed:
+                self._trouble = self._trouble or view.cause
         if machine.state is State.FAULT:
             self._on_fault(view)
         if view.decisions - self._ordered_at < SETTLED_DECISIONS:

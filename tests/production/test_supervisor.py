@@ -161,11 +161,11 @@ def test_a_hold_in_tracking_is_left_by_a_retreat_and_reported_with_its_cause() -
     assert cell.supervisor.held is None
 
 
-def test_an_emergency_retreat_is_no_good_part() -> None:
+def test_an_emergency_retreat_is_no_good_part_and_its_cause_is_reported() -> None:
     cell = started()
-    cell.machine = Machine(State.RETREAT, because="overload")
+    cell.machine, cell.cause = Machine(State.RETREAT), "overload: force 400 N"
     cell.look(2)
-    cell.machine, cell.cause = Machine(State.IDLE), "overload: force 400 N"
+    cell.machine, cell.cause = Machine(State.IDLE), "retreated: the tool is free"
     cell.look()
     assert (cell.results[0].is_good, cell.results[0].reason) == (False, "overload: force 400 N")
 
@@ -174,11 +174,11 @@ def test_a_retreat_with_trouble_in_it_is_no_good_part() -> None:
     cell = started()
     cell.machine = Machine(State.RETREAT, programmed=True)
     cell.look(2)
-    cell.machine = Machine(State.RETREAT, programmed=False)
+    cell.machine, cell.cause = Machine(State.RETREAT, programmed=False), "axis limit"
     cell.look(2)
     cell.machine, cell.cause = Machine(State.IDLE), "retreated"
     cell.look()
-    assert not cell.results[0].is_good
+    assert (cell.results[0].is_good, cell.results[0].reason) == (False, "axis limit")
 
 
 def test_a_fault_ends_the_part_and_puts_production_on_hold() -> None:
