@@ -326,6 +326,13 @@ def test_a_process_that_had_no_processor_is_granted_its_reaction() -> None:
     assert run.go(0.1, busy_s=1.0) == []
 
 
+def test_an_overload_while_the_daemon_has_no_processor_is_granted_its_reaction() -> None:
+    run = Run(State.CONTACT)
+    run.sensors.wrench_n = 500.0
+    assert run.go(0.2, busy_s=0.2) == []
+    assert run.go(0.1) == ["reaction"]
+
+
 def test_axes_that_are_braked_and_sent_away_end_the_motion() -> None:
     run = Run()
     assert run.go(0.4, stands=STILL, sent=(0.02, *STILL[1:])) == []

@@ -286,6 +286,7 @@ class PlantOracle:
             frozen_s = now_s - max(emitters.moved_s("force_torque"), begun_s)
             self._silence("wrench frozen", frozen_s, WRENCH_S + REACTION_S + FROZEN_S)
             overloaded = emitters.wrench_n > OVERLOAD_N and silent_s < self._cycle_s
+            overloaded = overloaded and now_s > seen.busy_s
             if self._lasting("overload", overloaded, now_s) > OVERLOAD_S:
                 self._once("reaction", f"overload of {emitters.wrench_n:.0f} N goes on")
         unheard_s = now_s - max(self._answered_s, seen.busy_s)
