@@ -319,7 +319,7 @@ class Session:
         program = self._program
         self.refuse(peer)
         if program is not None and peer == program.peer and not goes_on:
-            # Later telegrams cannot tell any more which of the bare replies were applied.
+            # Later telegrams cannot show any more which of the bare replies were applied.
             self._is_refuted = True
         if self.proof is Proof.PENDING:
             self.unproven = "a program has started: waiting for telegrams that confirm it"

@@ -6,8 +6,8 @@ one cycle. So a reply carries corrections only with a proof. Without a proof it 
 only), and the controller keeps the correction that it has.
 
 Invariants:
-- A moved program is believed to go on only if counter and delay count account for the time.
-- A start is believed only after silence that a running program would have counted as delay.
+- A program that moved counts as going on only if counter and delay count account for the time.
+- A start counts only after silence that a running program would have counted as delay.
 - A counter that goes on where it stopped shows no start, whatever time has passed.
 - A daemon that knows no program and heard no silence has no proof but the programmed position.
 - A programmed position that differs from the known reference refutes that the program goes on.
@@ -171,7 +171,7 @@ class Continuation(NamedTuple):
 def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Continuation | None:
     """Return how a program has gone on, None if it cannot be proven that it has.
 
-    The counter tells the cycles that passed. Where it has jumped, the telegrams that came tell
+    The counter shows the cycles that passed. Where it has jumped, the telegrams that came show
     them, if they came without a pause. The delay count must hold each of these cycles that got no
     reply: a program that was restarted in between counts from zero.
 

@@ -54,7 +54,7 @@ class Signals:
         object_left: the object is out of the robot's reach, or about to be, while it is tracked;
             on the way home, the way is.
         contact: the tool touches the object, or is so near that to stop would end there.
-        overload: the force is beyond what the tool bears, or it swings in contact and does not fall
+        overload: the force is beyond the tool's limit, or it swings in contact and does not fall
             though the contact is softened.
         outwaited: the tool has waited before contact for longer than the task allows.
         overdue: the tool has not done in its time what the programme needs: in contact and in a

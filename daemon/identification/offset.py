@@ -61,7 +61,7 @@ def identify_offset(
             recordings,
             Refusal(
                 f"not observable in {len(means)} recordings: a body off its hanger looks the same;"
-                f" {LEAST_BODIES} bodies would tell"
+                f" {LEAST_BODIES} bodies would show it"
             ),
         )
     spread = float(np.std(means, ddof=1))

@@ -134,7 +134,7 @@ class Station:
         else:
             payload = messages.message(self._name, time.time(), answer)
             query.reply(messages.key(self._name, op), payload, encoding=JSON)
-        # Dropping a query tells its sender that there are no more replies.
+        # Dropping a query shows its sender that there are no more replies.
         query.drop()
 
     def _publish_telemetry(self) -> None:

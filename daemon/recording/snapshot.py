@@ -172,8 +172,8 @@ def _plain(value: Any) -> Any:
         return value.item()
     if value is None or isinstance(value, (bool, int, float, str, bytes)):
         return value
-    tell = _TELLERS.get(type(value), _object)
-    return tell(value)
+    encode = _ENCODERS.get(type(value), _object)
+    return encode(value)
 
 
 def _object(value: Any) -> list[Any]:
@@ -243,7 +243,7 @@ def _kind(name: str) -> type[Any]:
     return kind
 
 
-_TELLERS: dict[type[Any], Callable[[Any], list[Any]]] = {
+_ENCODERS: dict[type[Any], Callable[[Any], list[Any]]] = {
     tuple: lambda items: ["t", *map(_plain, items)],
     list: lambda items: ["l", *map(_plain, items)],
     frozenset: lambda items: ["f", *map(_plain, sorted(items, key=str))],

@@ -243,7 +243,7 @@ class _Replayer:
         inputs = record.inputs
         self.outputs = None
         if self.parameters is None:
-            raise ReplayError("the recording does not tell the parameters of its first step")
+            raise ReplayError("the recording does not have the parameters of its first step")
         restart = self._enter(record, self.parameters)
         if self._state is None:
             why = restart or "the state before it is not known"
@@ -320,7 +320,7 @@ class _Replayer:
     def _build(self, recorded: Mapping[str, Any]) -> None:
         """Compile parameters, unless they are those in force."""
         if self._cell is None or self._written is None:
-            raise ReplayError("the recording tells parameters before its cell")
+            raise ReplayError("the recording has parameters before its cell")
         try:
             sections = {
                 name: tree.read_section(name, recorded[name])

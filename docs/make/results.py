@@ -125,7 +125,7 @@ def load(name: str) -> Result:
 
 
 def is_stored(name: str) -> bool:
-    """Tell whether a result was measured; a table shows what there is."""
+    """Return whether a result was measured; a table shows what there is."""
     return (FOLDER / f"{name}.json").exists()
 
 

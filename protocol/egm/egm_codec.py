@@ -4,7 +4,7 @@ Invariants:
     Pure: bytes in, values out, and the reverse. Either end uses it.
     Any bytes give a message or EgmError, any message gives bytes or EgmError.
     ``measuredForce`` field 1 is a double in RobotWare 6 and a bool in RobotWare 7. The wire type
-    tells which.
+    shows which.
 
 Reference: egm.proto of RobotWare 6 (ros-industrial/abb_libegm) and of RobotWare 7.
 """
@@ -223,7 +223,7 @@ def _force(data: bytes | None) -> tuple[Axes | None, bool | None, int | None]:
     """Return measured force, whether force control is active, and the RobotWare generation.
 
     Field 1 is a list of doubles in RobotWare 6. In RobotWare 7 field 1 is a bool (a varint), field
-    2 the list. The wire type of field 1 tells them apart.
+    2 the list. The wire type of field 1 distinguishes them.
     """
     if data is None:
         return None, None, None

@@ -74,7 +74,7 @@ class RobotMessage(Struct, frozen=True):
         utilization: of the speed and acceleration that EGM allows [%], None without.
         force: measured force [N] and torque [Nm], None without.
         is_force_active: force control is active, None without (RobotWare 6 never has it).
-        robotware: 6 or 7 where a field tells, None where both write the same bytes.
+        robotware: 6 or 7 where a field shows it, None where both write the same bytes.
         rapid_data: numbers of the RAPID program (RAPIDfromRobot.dnum, RobotWare 7).
     """
 

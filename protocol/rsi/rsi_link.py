@@ -97,7 +97,7 @@ class RsiLink:
         return None if telegram is None else (telegram, b"%d" % counter)
 
     def without_setpoint(self, digital_out: int, *, writes_zero: bool = False) -> PreparedReply:
-        """Return a reply that leaves the robot where it is and tells the tool what to do.
+        """Return a reply that leaves the robot where it is, with the tool's signals.
 
         Args:
             digital_out: the tool's signals; 0 is not written, they stay as they were.

@@ -180,7 +180,7 @@ def _flipped_number(digits: bytes, chance: random.Random) -> bytes:
 def flipped(data: bytes, count: int, chance: random.Random) -> bytes:
     """Flip bits of a piece.
 
-    A telegram's Delay is spared: it alone tells the daemon whether its reply was taken, a flip
+    A telegram's Delay stays: it alone shows the daemon whether its reply was applied, a flip
     there that UDP's checksum lets pass looks exactly like a lost reply.
 
     Returns:

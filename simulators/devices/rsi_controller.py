@@ -206,7 +206,7 @@ class RsiController:
         tags = [element.tag for element in rsi.receive]
         self._stop = tags.index("Stop") if "Stop" in tags else None
         self._signals = tags.index("DiO") if "DiO" in tags else None
-        self._tells_signals = "DiL" in {element.tag for element in self.codec.config.send}
+        self._sends_signals = "DiL" in {element.tag for element in self.codec.config.send}
         self._setpoints = setpoints
         self._digital_out = 0
         self._ipoc_shift = 0
@@ -374,7 +374,7 @@ class RsiController:
             reading.tcp,
             session.tcp,
             self._exchange.delay,
-            {"DiL": reading.digital_in} if self._tells_signals else {},
+            {"DiL": reading.digital_in} if self._sends_signals else {},
         )
 
     def _refuse(self, reason: str) -> Judgement:
@@ -382,7 +382,7 @@ class RsiController:
         return self._exchange.on_unreadable()
 
     def _apply(self, session: _Session) -> bool:
-        """Move the setpoints; tells whether a limit held something back."""
+        """Move the setpoints; return whether a limit held something back."""
         reply, held = session.reply, session.held
         if reply is not None and reply.message:
             self.messages.append(reply.message)

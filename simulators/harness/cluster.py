@@ -36,7 +36,7 @@ class ClusterError(SetupError):
 
 
 def is_address(text: str) -> bool:
-    """Tell whether a text is a scheduler's address, such as ``tcp://127.0.0.1:8786``."""
+    """Return whether a text is a scheduler's address, such as ``tcp://127.0.0.1:8786``."""
     scheme, separator, rest = text.partition("://")
     return scheme in SCHEMES and bool(separator) and bool(rest)
 

@@ -60,7 +60,7 @@ END_S = 15.0
 LOOK_S = 0.5
 DAEMON_PRIORITY = 70
 EMULATOR_PRIORITY = 60
-"""Below the daemon: on a machine with one core to spare the plant's computing would otherwise stand
+"""Below the daemon: on a machine with one free core the plant's computing would otherwise stand
 between a telegram and its reply. Above everything else: a telegram that goes out late makes the
 exchange slip, and a real controller's never does."""
 SETTLE_S = 2.5
@@ -375,7 +375,7 @@ def run_station(station: DemoStation, *, is_viewed: bool = False) -> dict[str, A
 
 
 def _open_view(station: DemoStation, children: Children) -> None:
-    """Show the daemon on a page, by a process of its own, and tell its address."""
+    """Show the daemon on a page, by a process of its own, and return its address."""
     command = _command("daemon.operator.main", "view", "--socket", str(station.command_socket))
     child = children.start("view", command, station.folder / "view.log")
     wait_until(lambda: bool(child.tail()), children, START_S, "the view")

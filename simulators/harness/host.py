@@ -38,7 +38,7 @@ def machine() -> dict[str, Any]:
 
 
 def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
-    """Tell how much of all cores' time a hypervisor has withheld since the start [s], if known."""
+    """Return the time of all cores that a hypervisor withheld since the start [s], if known."""
     try:
         # cpu user nice system idle iowait irq softirq steal ...
         steal = stat.read_text(encoding="ascii").split("\n", 1)[0].split()[8]
@@ -58,7 +58,7 @@ def resident_bytes(statm: Path = Path("/proc/self/statm")) -> int:
 def missing_rights() -> str | None:
     """Say why a process started here gets no real-time priority; None when it does.
 
-    The scheduler is asked, and put back at once: a limit alone does not tell what a container
+    The scheduler is asked, and put back at once: a limit alone does not show what a container
     allows.
     """
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
@@ -122,7 +122,7 @@ def shared_out() -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Share the cores out: one for the daemon, the rest for all others; empty where there is one.
 
     A real-time process that wakes every few milliseconds is better off on a core of its own: a
-    scheduler that moves it now and then is late by more than the cycle bears (measured on two
+    scheduler that moves it now and then is late by more than the cycle allows (measured on two
     cores, next to another one at 4 ms: 1 to 3 wakes of 1500 later than 1 ms, 3 to 23 without).
     """
     cores = sorted(os.sched_getaffinity(0))

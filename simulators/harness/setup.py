@@ -108,7 +108,7 @@ def make(
             that is unique; a value is YAML.
         variant: applied before the overrides, which have the last word.
         cycle_ms: instead of the scenario's cycle.
-        world: one of ``worlds.WORLDS``; the daemon believes what was identified of that station.
+        world: one of ``worlds.WORLDS``; the daemon has what was identified of that station.
         controller: one of ``families.FAMILIES``; with its period unless one is given. None: that
             of the cell.
         cell: files of another cell than the shipped one.

@@ -38,7 +38,7 @@ class _Table:
 
 
 class Oracle:
-    """Tells the tracker where the hub will be; called as a ``tracker.Foresight``."""
+    """True future of the hub for the tracker; called as a ``tracker.Foresight``."""
 
     def __init__(self, world: World, nominal: Array, cycle_s: float) -> None:
         """Look at the whole run.
@@ -76,7 +76,7 @@ class Oracle:
         return self._table.positions[index], self._table.vectors[index]
 
     def _holds(self, first: int, last: int) -> bool:
-        """Tell whether the screws turn the hub alike from ``first`` to ``last``; then tabulate."""
+        """Return whether the screws turn the hub alike from ``first`` to ``last``; tabulate it."""
         if first < 0 or last >= len(self._bare):
             return False
         turn = self._turn(first)

@@ -79,7 +79,7 @@ class Rows:
         scenario: index into CLASSES, (n,).
         tentative: the class is not confirmed, (n,).
         state: index into STATES, (n,).
-        contact_seen: the daemon believes in contact, (n,).
+        contact_seen: the daemon assumes contact, (n,).
         task_time: the task's clock [s], NaN before it starts, (n,).
         speed: estimated speed of the conveyor [m/s], (n,).
         step_us: computing time of the reply [us], NaN where not measured, (n,).

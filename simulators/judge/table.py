@@ -146,7 +146,7 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def is_figure(cell: str) -> bool:
-    """Tell a number or a missing one from words: figures stand to the right."""
+    """Return whether a text is a number or a missing one: figures stand to the right."""
     return cell == DASH or cell.replace(".", "", 1).lstrip("-").isdigit()
 
 

@@ -270,7 +270,7 @@ def _plan(args: argparse.Namespace) -> AccuracyPlan:
 
 
 def _is_default(variant: str) -> bool:
-    """Tell whether a variant is the default by another name; once is enough."""
+    """Return whether a variant is the default by another name; once is enough."""
     plain = TrackingSettings(), shipped_control()
     return variant != "default" and variants.apply(variant, *plain) == plain
 

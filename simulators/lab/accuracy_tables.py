@@ -44,7 +44,7 @@ class Bar:
         return f"≤ {self.median:g}" + (f" ({self.worst:g})" if self.worst is not None else "")
 
     def holds(self, figure: Mapping[str, Any]) -> bool:
-        """Tell whether a figure keeps it; None in a figure is an infinity."""
+        """Return whether a figure keeps it; None in a figure is an infinity."""
         pairs = ((figure["median"], self.median), (figure["worst"], self.worst))
         return all(
             bound is None or (value is not None and value <= bound) for value, bound in pairs

@@ -123,7 +123,7 @@ LEARNT = (
 """What the daemon learns of servos 10 % slower from one assembly, seed 5000."""
 
 LOWER = (4.50005, 4.05009, 6.2995, 4.95063, 5.39881, 5.85024)
-"""The end-effector's modes 10 % lower than those that the default scenario believes [Hz]: set, not
+"""The end-effector's modes 10 % lower than those that the default scenario sets [Hz]: set, not
 identified."""
 
 CLAIMED: Mapping[str, Case] = {

@@ -143,7 +143,7 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
     """Leave the recording of a daemon next to a guided robot; return where.
 
     Args:
-        setup: what the daemon believes, and the truth.
+        setup: settings of the daemon, and the truth.
     """
     station = _Station(setup, plan, seed)
     cycle_s = station.scenario.cycle_s
@@ -279,7 +279,7 @@ class _Station:
 
 
 def texts(setup: Setup) -> dict[str, str]:
-    """Return the texts of a recording of the cell that the daemon believes."""
+    """Return the texts of a recording of the cell that the daemon is set up for."""
     from pydantic import TypeAdapter
 
     def plain(value: Any) -> Any:

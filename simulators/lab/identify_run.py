@@ -73,7 +73,7 @@ class IdentificationPlan:
 
 
 def identified(plan: IdentificationPlan, folder: Path) -> Identified:
-    """Return what a cell tells of itself; the recordings stay in ``folder``."""
+    """Return what the recordings of a cell show of it; the recordings stay in ``folder``."""
     files = [
         record(_exercise(plan), plan.seed + i, folder / f"exercise-{i}.mcap")
         for i in range(plan.exercises)

@@ -179,7 +179,7 @@ def grouped(
 
 
 def is_unstable(case: Mapping[str, Any]) -> bool:
-    """Tell whether a case grows or rises, or swings before it is kicked."""
+    """Return whether a case grows or rises, or swings before it is kicked."""
     return bool(case["ends"] != STABLE or case.get("calm_mm", 0.0) > 1e3 * LEAST_AMPLITUDE)
 
 

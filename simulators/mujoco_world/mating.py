@@ -132,7 +132,7 @@ class BoltMating:
         self._release(t)
 
     def _watch(self, t: float, now: MatingPoses) -> None:
-        """Tell a collision of the wheel in the gripper."""
+        """Note a collision of the wheel in the gripper."""
         x, y, z, *_ = now.wheel
         lateral = math.hypot(x, y)
         if now.mount_n > self._tool.mount_limit:
@@ -145,7 +145,7 @@ class BoltMating:
             self._collide(t, f"missed the bolts: {1e3 * lateral:.1f} mm")
 
     def _watch_clearing(self, t: float, now: MatingPoses) -> None:
-        """Tell a collision of the empty gripper that has to leave the wheel."""
+        """Note a collision of the empty gripper that has to leave the wheel."""
         if self._is_clear:
             return
         x, y, z, *_ = now.tool_in_wheel

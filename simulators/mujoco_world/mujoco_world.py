@@ -188,7 +188,7 @@ class MujocoWorld:
             ValueError: another time: no one knows the future of this world.
         """
         if t is not None and abs(t - self.time_s) > TIMESTEP_S:
-            raise ValueError("the MuJoCo world tells where the hub is now alone")
+            raise ValueError("the MuJoCo world knows only where the hub is now")
         return matrix_of(*self._station.place(self._station.hub))
 
     def tcp_pose(self) -> Array:

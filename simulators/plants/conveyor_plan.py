@@ -47,7 +47,7 @@ class Ripple:
 
 @dataclass(frozen=True, slots=True)
 class StopSignal:
-    """The signal with which the line's controller announces a stop; it may lie.
+    """The signal with which the line's controller announces a stop; it may be wrong.
 
     A controller of a cycle of 10 to 50 ms sends it; what drive and brake need comes on top.
 

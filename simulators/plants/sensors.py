@@ -230,7 +230,7 @@ def _camera_errors(camera: Camera, seed: int) -> CameraErrors | None:
 
 
 class ForceTorquePlant:
-    """Feels the deflection of the mount as a wrench."""
+    """Measures the deflection of the mount as a wrench."""
 
     def __init__(self, sensor: ForceTorque, effector: Effector, seed: int, start_s: float) -> None:
         self._sensor = sensor

@@ -169,10 +169,10 @@ def test_mute_and_deaf_are_counted_as_the_controller_would() -> None:
         link.open()
         await until(lambda: len(plant.ended) >= 3)
         assert daemon.counters["received"] == 0
-        link.is_mute, link.is_deaf = False, True
+        link.is_mute, link.loses_replies = False, True
         await until(lambda: daemon.counters["received"] >= 3)
         assert link.controller.counts.answered == 0
-        link.is_deaf = False
+        link.loses_replies = False
         await until(lambda: link.controller.counts.answered >= 1)
         link.close()
         schedule.close()

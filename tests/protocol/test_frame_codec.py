@@ -49,7 +49,8 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "command-protocol.md"
 def vectors() -> dict[str, bytes]:
     block = re.search(r"```vectors\n(.*?)```", DOCUMENT.read_text(encoding="utf-8"), re.DOTALL)
     assert block is not None
-    lines = [line.split() for line in block[1].splitlines()]
+    # A line that begins with a space continues the one before.
+    lines = [line.split() for line in re.sub(r"\n +", "", block[1]).splitlines()]
     return {name: bytes.fromhex(value) for name, value in lines}
 
 

@@ -22,7 +22,7 @@ from linemate.daemon.core.control.settings import ControlSettings, FilterSetting
 from linemate.daemon.core.horizon import Array
 
 TIME_CONSTANT_S = 0.3  # with which the drift follows a difference [s]
-SLOW = 0.02  # v0: speed of all axes together that tells half as much [rad/s, m/s]
+SLOW = 0.02  # v0: speed of all axes together that weighs half as much [rad/s, m/s]
 CONTRADICTION_S = 0.012  # difference between the axes that servo models of 10 % may have [s]
 NOISE = 3e-4  # the same of an arm at rest: windup, friction, rounding [rad, m]
 SPACING_S = 0.004  # between two drifts for which (12) is designed; between them it is interpolated

@@ -76,7 +76,7 @@ def sensed(
 
 
 class _Series(Struct, frozen=True, eq=False):
-    """What each term of x_f adds to a pose, as far as the modes alone tell.
+    """What each term of x_f adds to a pose, as far as the modes alone show.
 
     Attributes:
         adds: (t, 6) [m, rad] for one unit of the term.

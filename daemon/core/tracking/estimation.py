@@ -451,7 +451,7 @@ def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> 
 
 
 def _is_overload(tracker: Tracker, wrench: Wrench | None) -> bool:
-    """Return whether a force is larger than the tool may bear: then it does not measure the object.
+    """Return whether a force is beyond the tool's limit: then it does not measure the object.
 
     A wrong sensor would move the object by 10 mm for 500 N, and the clamped tool would follow.
     """

@@ -244,7 +244,7 @@ class BankSettings:
     Attributes:
         perceived: log odds at which a change counts as perceived.
         stop_confirmed: log odds at which a stop is confirmed.
-        contact_confirmed: log odds at which a stop is confirmed in contact, where force tells.
+        contact_confirmed: log odds at which a stop is confirmed in contact, by the force too.
         start_confirmed: log odds at which a start is confirmed.
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
         as_set: how likely a stop or a start goes on as it was set, which the prediction then takes

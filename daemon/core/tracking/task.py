@@ -158,10 +158,9 @@ class GuardedApproach:
 
     Attributes:
         touch_speed: largest speed along the tool's axis relative to the object [m/s]. It is
-            reduced to what the mount bears until the tool reacts to a touch: half the overload.
+            reduced so that the mount gets half the overload until the tool reacts to a touch.
         clearance: distance before the estimated object from which that speed holds and a contact
-            counts [m]. It must cover the error of the estimate. 0 is 11 mm, at the speed that the
-            mount bears.
+            counts [m]. It must cover the error of the estimate. 0 is 11 mm, at the reduced speed.
         speed: along the tool's axis [m/s]. The motion goes on for about 0.15 s after the touch.
         overrun: largest distance beyond the waypoint [m]; without contact up to there the tool
             retreats. 0 does not search.

@@ -153,7 +153,7 @@ def track(
     if is_searching:
         state = replace(state, search=_advance_search(tracker, state))
     guarded = tracker.task.guard
-    # Without a force sensor the tool waits at the waypoint of contact: it would feel nothing.
+    # Without a force sensor the tool waits at the waypoint of contact: it could detect no contact.
     advances = is_searching and bool(state.contact_state.forces)
     relative = guard.reached(relative, state.search, guarded, span, is_on=advances)
     target = part = along = None
@@ -226,7 +226,7 @@ def _waiting_poses(state: TrackerState, relative: Array) -> Array:
 
 
 def _is_searching(tracker: Tracker, state: TrackerState) -> bool:
-    """Return whether the tool is where it should touch the object, and has felt nothing."""
+    """Return whether the tool is where it should touch the object, and no contact was detected."""
     if state.contact or state.releasing is not None or state.blended is None:
         return False
     return state.time >= tracker.search_time
@@ -511,7 +511,7 @@ def update_contact(
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
     if after.clamped or after.withdrawn is not None:
-        # A retreat waits for the clamp already, and its own motion feels like a touch.
+        # A retreat waits for the clamp already, and its own motion gives the force of a touch.
         return after
     force = None if report.force is None else float(report.force[2])
     contact_state = contact.record_force(

@@ -158,7 +158,7 @@ class SensorQueues:
         """Return the samples of a step.
 
         Args:
-            force_limit: that the tool bears in addition to the weight [N].
+            force_limit: that the tool withstands in addition to the weight [N].
             weight: that the mount carries, in the sensor's axes [N].
         """
         distance = self._count_from_object(self.distance.drain(conditions))

@@ -1,1 +1,1 @@
-"""What recorded stops and starts tell: ramps of the conveyor, and sway of the body."""
+"""From recorded stops and starts: ramps of the conveyor, and sway of the body."""

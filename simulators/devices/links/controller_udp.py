@@ -76,7 +76,7 @@ class ControllerUdp:
         turnaround: how long good replies took.
         pace: how well the schedule was kept.
         is_mute: a fault keeps telegrams from leaving.
-        is_deaf: a fault keeps replies from arriving.
+        loses_replies: a fault keeps replies from arriving.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class ControllerUdp:
         self.turnaround = TurnAround()
         self.pace = SendPace()
         self.is_mute = False
-        self.is_deaf = False
+        self.loses_replies = False
         self._plant = plant
         self._schedule = schedule
         self._target = target
@@ -153,7 +153,7 @@ class ControllerUdp:
         self._running = False
 
     def close(self) -> None:
-        """Send no more, hear no more."""
+        """Stop sending and receiving."""
         self._running = False
         if self._endpoint is not None:
             asyncio.get_running_loop().remove_reader(self._endpoint.link)
@@ -218,7 +218,7 @@ class ControllerUdp:
         if received is None:
             return False
         data, stamp_ns, source = received
-        if self.is_deaf:
+        if self.loses_replies:
             return True
         judgement = self.controller.on_reply(data, stamp_ns, self._due_ns)
         if self._asked is not None:

@@ -178,7 +178,7 @@ class Emulator:
             at_ns: the instant at which the cycle began [ns].
         """
         if self._waiting:
-            self._tell_sometimes(self._waits * self._cycle_s)
+            self._report_sometimes(self._waits * self._cycle_s)
             self._waits += 1
             return
         self._begun_ns, self._begun_s = at_ns, self.world.time_s
@@ -195,7 +195,7 @@ class Emulator:
         elif self._look_ahead_s > _BEFORE_S:
             self.world.advance(self._begun_s + self._look_ahead_s - _BEFORE_S)
             self._lay_out()
-        self._tell_sometimes(self._begun_s)
+        self._report_sometimes(self._begun_s)
 
     def end_cycle(self, applied: Applied, turnaround_ns: int | None) -> None:
         """Advance the world to the next cycle, after the reply is judged.
@@ -354,7 +354,7 @@ class Emulator:
     def _suffer(self, now_s: float) -> None:
         """Let faults take hold, let go and strike, before a telegram goes out."""
         self.link.is_mute = self._faults.in_force("robot", "silence", now_s) is not None
-        self.link.is_deaf = self._faults.in_force("robot", "deafness", now_s) is not None
+        self.link.loses_replies = self._faults.in_force("robot", "deafness", now_s) is not None
         for fault in self._faults.strike(now_s):
             if fault.kind == "garbage":
                 for _ in range(fault.count):
@@ -440,7 +440,7 @@ class Emulator:
     def _telegrams(self) -> dict[str, int]:
         return asdict(self.link.controller.counts)
 
-    def _tell_sometimes(self, now_s: float) -> None:
+    def _report_sometimes(self, now_s: float) -> None:
         if self._on_state is not None and now_s - self._reported_s >= self.config.state_period_s:
             self._reported_s = now_s
             # In the cycle's quiet hours: its reply is in, and most of its readings are out.

@@ -198,7 +198,7 @@ class VirtualLine(Port):
         self.filled()
 
     def write(self, data: bytes) -> None:
-        """As a transport's own: the device hears it."""
+        """As a transport's own: the device receives it."""
         self.world.on_line(data)
 
     def abort(self) -> None:

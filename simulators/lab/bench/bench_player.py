@@ -206,7 +206,7 @@ class Player:
         self.slips = 0
 
     def run(self) -> None:
-        """Tell of the ports, wait for the order to begin, play until the other end is closed."""
+        """Report the ports, wait for the order to begin, play until the other end is closed."""
         self._send_message({"can": self._can.path, "force_torque": self._serial.path})
         self._serial.write(self._sensor.boot())
         order = self._order(patient=True)

@@ -32,7 +32,7 @@ KEPT = Path("tests/dst/regressions.txt")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Live through many seeds.
+    """Run many seeds.
 
     Returns:
         0 if nothing was violated, 1 if something was, 2 for wrong arguments.
@@ -84,7 +84,7 @@ def _seeds(text: str) -> range:
 def _run_seeds(
     seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float
 ) -> int:
-    """Live through all seeds that there is time for, then through some of them again."""
+    """Run all seeds that there is time for, then some of them again."""
     begun = time.monotonic()
     failed: list[tuple[int, tuple[str, ...]]] = []
     traces: dict[int, str] = {}

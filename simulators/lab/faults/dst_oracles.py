@@ -45,7 +45,7 @@ class FaultOracle:
         violations: what was found, at most ``MOST_EVIDENCE``.
         story: changes of the operating state, in order.
         now_s: scenario time of the cycle that is judged [s].
-        holds: tells where the robot was sent last; a daemon that learns how much of what it sent
+        holds: returns where the robot was sent last; a daemon that learns how much of what it sent
             was thrown away begins again from there.
     """
 
@@ -173,7 +173,7 @@ class FaultOracle:
         """What a stop begins with: each axis as quick as its command was or as it went itself.
 
         A robot that stood although it was sent on, for no reply reached it, has all of the way
-        before it in the cycle in which it hears again.
+        before it in the cycle in which it gets replies again.
         """
         joints = zip(self._held, self.holds(), strict=False)
         applied = [abs(new - old) / self._cycle_s for old, new in joints]

@@ -215,7 +215,7 @@ class PlantOracle:
                     del self._open[what]
 
     def _harm(self, what: str, figures: str, at_s: float, harm: Harm = "collision") -> None:
-        """Blame what hurts, once a kind, unless the plan made it unavoidable."""
+        """Report each kind of harm once, unless the plan made it unavoidable."""
         if what in self._reported:
             return
         self._reported.add(what)

@@ -50,7 +50,7 @@ def _facts(**wrong: Callable[[Facts], Any]) -> list[Patch]:
     def observe(
         before: watch.Watch, facts: Facts, machine: Any, settings: WatchSettings
     ) -> tuple[watch.Watch, Any]:
-        changes: dict[str, Any] = {name: tell(facts) for name, tell in wrong.items()}
+        changes: dict[str, Any] = {name: wrong_value(facts) for name, wrong_value in wrong.items()}
         return whole(before, structs.replace(facts, **changes), machine, settings)
 
     return [(watch, "observe", observe)]
@@ -95,7 +95,7 @@ def _camera_off() -> list[Patch]:
 
 
 def _distance_off() -> list[Patch]:
-    """A jump of 30 mm is believed as if the object had jumped."""
+    """A jump of 30 mm is used as if the object had jumped."""
     whole = DistanceDecoder.decode
     count: dict[int, int] = {}
 
@@ -189,7 +189,7 @@ def _contact_never() -> list[Patch]:
 
 
 def _screws_anywhere() -> list[Patch]:
-    """The task believes itself in contact as soon as the time has come."""
+    """The task assumes contact as soon as the time has come."""
     whole = task_clock.elapsed
 
     def elapsed(before: float | None, _holds: bool, period: float) -> float | None:

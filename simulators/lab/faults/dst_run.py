@@ -180,7 +180,7 @@ class Simulation:
     # The life of a run.
 
     def live(self) -> None:
-        """Live through all of it."""
+        """Run the plan to its end."""
         with inhabited(self._time), self._log.listening():
             self._loop = loop = VirtualLoop(self._time)
             loop.set_exception_handler(self._unhandled)
@@ -375,7 +375,7 @@ class Simulation:
             self._over.set()
 
     def _is_heard(self, now_s: float) -> bool:
-        """Tell whether nothing keeps telegrams and replies from arriving."""
+        """Return whether nothing keeps telegrams and replies from arriving."""
         return not any(
             fault.at_s - 0.1 <= now_s <= fault.at_s + fault.duration_s + UNHEARD_S
             for link in ("robot", "reply", "daemon")

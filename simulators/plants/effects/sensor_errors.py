@@ -189,7 +189,7 @@ class DistanceErrors:
         self._drift = 0.0
 
     def disturb(self, position: float) -> float:
-        """Return a position as the sensor feels it; once an instant."""
+        """Return a position as the sensor measures it; once an instant."""
         if self._step:
             self._drift += self._step * self._noise.next_number()
         return position * (1.0 - self._effects.slip) + self._drift

@@ -2,7 +2,7 @@
 
 Invariants:
     The caller, who advances the world, calls ``hub`` and then ``settle``, once a substep.
-    The mount's force on tool and car is the one that the robot feels, with the sign turned.
+    The mount's force on tool and car is the one on the robot, with the opposite sign.
 """
 
 import math

@@ -38,7 +38,7 @@ _TRAVEL = np.array((0.0, 1.0, 0.0, 0.0, 0.0, 0.0))
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """Tool and mount as the car feels them: matrices in c, (6, 6); translation first.
+    """Tool and mount as they act on the car: matrices in c, (6, 6); translation first.
 
     Attributes:
         axes: axes of the rigid tcp in c, for vectors of six, (6, 6).

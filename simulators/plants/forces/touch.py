@@ -5,7 +5,7 @@ and meets points of the hub: bolt tips, edges of the holes, rim of the flange.
 
 Invariants:
     Angles between tool and hub are small; larger ones are a miss before anything touches.
-    What the tool gets, the hub gets with the sign turned.
+    The hub gets the tool's wrench with the opposite sign.
     Steps of at most 0.2 ms, semi-implicit, so that a contact adds no energy.
 """
 
@@ -109,7 +109,7 @@ class Touch:
             self.entered = False
 
     def near(self, tool: Pose) -> bool:
-        """Tell whether tips or flange may touch the tool, seen from the hub, within a step."""
+        """Return whether tips or flange may touch the tool, seen from the hub, within a step."""
         x, y, z = tool[0]
         reach = self._mating.bolt_length + 0.005
         return -reach < z < 0.01 and math.hypot(x, y) < 0.02

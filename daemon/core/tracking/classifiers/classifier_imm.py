@@ -304,7 +304,7 @@ class ImmClassifier:
         return state
 
     def announce_stop(self, state: ImmState) -> ImmState:
-        """Return the state as it is: the sensors alone tell this classifier of a stop."""
+        """Return the state as it is: only the sensors show a stop to this classifier."""
         return state
 
     def predict_positions(self, state: ImmState, times: Array) -> Array:

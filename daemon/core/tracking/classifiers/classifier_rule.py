@@ -383,7 +383,7 @@ class RuleClassifier:
         return state
 
     def announce_stop(self, state: RuleState) -> RuleState:
-        """Return the state as it is: the sensors alone tell this classifier of a stop."""
+        """Return the state as it is: only the sensors show a stop to this classifier."""
         return state
 
     def predict_positions(self, state: RuleState, times: Array) -> Array:

@@ -1,6 +1,6 @@
 """What the line announces of a stop: the odds of onsets near the edge, before any reading.
 
-The line's controller knows of a stop before any sensor sees it, but it may lie. So an edge adds
+The line's controller announces a stop before any sensor sees it, but may be wrong. So an edge adds
 bounded log odds to the onsets that it allows. They count for the prediction until the readings
 have decided. Whether there is a stop is decided as without it.
 """

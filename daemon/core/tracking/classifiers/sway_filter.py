@@ -105,7 +105,7 @@ def has_taken_over(before: BankState, state: BankState) -> bool:
 
 
 def touched(state: BankState) -> BankState:
-    """Return the state as the tool begins to feel the body.
+    """Return the state as the tool comes into contact with the body.
 
     Where the body is against the conveyor was seen by another sensor, or not for a while.
     """
@@ -166,7 +166,7 @@ def _is_large(model: BankModel, state: BankState, fit: SwayFit) -> bool:
 def _with_sway(state: BankState, sways: SwayBank, fit: SwayFit) -> BankState:
     """Return the state that follows a sway; what was taken for an offset is none."""
     x, P = state.x.copy(), state.P.copy()
-    # What pushes were believed to move is in the fit as well.
+    # What was counted as a push is in the fit as well.
     x[IMPULSE] = x[IMPULSE_QUADRATURE] = 0.0
     P[IMPULSE:RIPPLE, :] = P[:, IMPULSE:RIPPLE] = 0.0
     P[SWAY:STATES, :] = P[:, SWAY:STATES] = 0.0

@@ -23,7 +23,7 @@ FOLLOWING_S = 0.2  # time constant of the mean following error [s]
 LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
 FOLLOWED_S = 0.5  # a change of class is confirmed and the tool follows it after this time [s]
 MIXED = 1.0  # log odds below even ones from which a change of class moves a prediction by 1 mm
-NEAREST_BACK = 0.005  # a tool that feels nothing backs off only from farther away [m]
+NEAREST_BACK = 0.005  # a tool without a force backs off only from farther away [m]
 _ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
 
 

@@ -281,7 +281,7 @@ def unending(state: Compliance, overload: float) -> float | None:
     than a period of the slowest sway that a contact is known to drive.
 
     Args:
-        overload: force that the tool bears [N].
+        overload: force that the tool withstands [N].
     """
     if state.softened < SOFTENED_S or len(state.past) < 2 * SECOND:
         return None

@@ -163,7 +163,7 @@ def touched_reach(tcp: Array, part: Array, force: float, stiffness: float, limit
         part: (6,) estimated object in c.
         force: along the tool's axis, less than 0 if it pushes the tool back [N].
         stiffness: of the mount along that axis [N/m].
-        limit: largest distance that is believed [m].
+        limit: largest distance that is used [m].
     """
     depth = float(rotations.exp(part[3:])[:, 2] @ (tcp[:3] - part[:3]))
     return min(max(depth + force / stiffness, -limit), limit)

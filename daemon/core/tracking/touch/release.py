@@ -21,8 +21,8 @@ from linemate.protocol.stamped_samples import Vector3
 LEADING_S = 0.15  # commanded motion goes on for this long, whatever is decided now
 STANDING_S = 0.1  # the last command leads a robot on for this long: servos, and the tool's swing
 TOUCHING = 0.005  # within this distance the object may have been touched without a force [m]
-STAND_OFF = 0.003  # a closed clamp bears the pull at this distance, 150 N by the shipped mount [m]
-PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp feels so much
+STAND_OFF = 0.003  # a closed clamp holds the pull at this distance, 150 N by the shipped mount [m]
+PULLING = 3.0  # times the force of a contact, as a mean: only a closed clamp gives so much
 CALM_N = 60.0  # rms of a force with which the clamp may open: 1.7 mm of swing on 50 N/mm
 LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the object springs back
 LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach

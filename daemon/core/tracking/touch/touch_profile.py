@@ -4,7 +4,7 @@ Bolts that stand out farther than the clearance meet the tool first. From before
 comes at a speed at which a bolt that does not enter its hole stops it without an overload.
 
 Invariants:
-    * Within the clearance the speed never exceeds the touch speed, nor what the mount bears.
+    * Within the clearance the speed never exceeds the touch speed, nor what the mount withstands.
     * Within reach of the bolts' tips it never exceeds theirs.
     * The profile rests at both ends and never goes back.
 """
@@ -46,7 +46,7 @@ NO_TIPS = BoltTips()
 
 
 def slowed(task: TaskFile, stiffness: float, overload: float) -> TaskFile:
-    """Return the task with a speed at every touch that the mount bears.
+    """Return the task with a speed at every touch that the mount withstands.
 
     A task without a clearance of its own gets one: the estimate of an object is never exact.
 
