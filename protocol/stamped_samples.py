@@ -5,11 +5,7 @@ Invariants:
     Stamps are arrivals on the local monotonic clock [ns]; a sensor's own delay is not in them.
 """
 
-from typing import NewType
-
 from msgspec import Struct
-
-Stamp = NewType("Stamp", int)  # monotonic time of arrival [ns]
 
 Vector3 = tuple[float, float, float]
 Vector6 = tuple[float, float, float, float, float, float]

@@ -47,7 +47,7 @@ class CameraMount:
     Attributes:
         position, rotation: X, (3,) [m] and (3, 3).
         deviations: (6,) of X, along the tcp's axes [m] and about the camera's [rad].
-        object_position, object_rotation: Y.
+        object_position: of Y, (3,) [m].
         residuals: (n, 6) of the used postures, in the object's axes [m, rad].
         turn: rotation about the second axis of the motion [rad].
         used, given: postures.
@@ -57,7 +57,6 @@ class CameraMount:
     rotation: Array
     deviations: Array
     object_position: Array
-    object_rotation: Array
     residuals: Array
     turn: float
     used: int
@@ -190,7 +189,6 @@ def _fitted(
         rotations.exp(x[3:6]),
         deviations,
         x[6:9],
-        rotations.exp(x[9:]),
         residuals,
         second_turn([posture.rotation for posture in seen]),
         int(kept.sum()),

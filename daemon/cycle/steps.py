@@ -53,7 +53,6 @@ class Stepper:
         operating: decides what the daemon may do.
         samples: of the sensors, for the next step.
         following: compares the robot's position with its commands.
-        remade: steps finished again, because the robot did not get a command as assumed.
         repeated: telegrams answered with a step that the timer had made, finished again.
     """
 
@@ -71,7 +70,7 @@ class Stepper:
         self.session = Session(parameters.cycle_s, link.rules)
         self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
         self.last: LogEntry | None = None
-        self.steps = self.remade = self.repeated = 0
+        self.steps = self.repeated = 0
         self._poses = HandedPoses()
         self._link = link
         self._log = StepLog()
@@ -266,7 +265,6 @@ class Stepper:
         sent, applied, pace = self._delivery(inputs.k, answering=answering)
         if (inputs.sent, inputs.applied, inputs.pace) == (sent, applied, pace):
             return ready
-        self.remade += 1
         inputs = replace(inputs, sent=sent, applied=applied, pace=pace)
         before, made_with = ready.entry.before, ready.entry.parameters
         assert before is not None and made_with is not None  # noqa: PT018, S101 - as _step made it

@@ -122,8 +122,3 @@ class Drives:
         wanted = self._velocity_gain * (error + self._integral) + acceleration
         torque: Array = self._inertia * wanted + gravity
         return torque
-
-    def interpolated(self) -> tuple[float, ...]:
-        """Return the newest setpoints."""
-        newest: list[float] = self._points[max(self._points)].tolist()
-        return tuple(newest)

@@ -56,7 +56,6 @@ class RobotTruth:
         joints: encoders of A1..A6 [rad].
         external: encoder of E1 [m].
         joints_true: motors of A1..A6 without encoder noise [rad].
-        external_true: E1 without encoder noise [m].
         setpoints: interpolated setpoints A1..A6 [rad], E1 [m].
         velocities: A1..A6 [rad/s], E1 [m/s] at the last substep.
         tcp_rigid: rigid tcp in base, 4x4.
@@ -66,7 +65,6 @@ class RobotTruth:
     joints: tuple[float, ...]
     external: tuple[float, ...]
     joints_true: tuple[float, ...]
-    external_true: tuple[float, ...]
     setpoints: tuple[float, ...]
     velocities: tuple[float, ...]
     tcp_rigid: Matrix
@@ -212,7 +210,6 @@ class World:
             joints=read[:6],
             external=read[6:],
             joints_true=true[:6],
-            external_true=true[6:],
             setpoints=self._servos.setpoints(self.cycle, self._age()),
             velocities=self._servos.velocities,
             tcp_rigid=rotation.matrix(self._rigid_at(self._now)),

@@ -54,7 +54,6 @@ class Controller:
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
         steps: n, the horizon that control reads.
-        contact_steps: over how many steps (11) is blended out before contact.
     """
 
     arm: Arm
@@ -69,7 +68,6 @@ class Controller:
     tcp_limit: TcpLimit
     gentle: Limits
     steps: int
-    contact_steps: int
     windup: Windup | None = None
     bend: BentArm | None = None
     drift: DriftModel | None = None
@@ -173,7 +171,6 @@ def compile_controller(
         tcp_limit=TcpLimit(settings.tcp_speed + conveyor_speed, arm.levers),
         gentle=_gentle(settings.brake, bounds),
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
-        contact_steps=max(round(filters.contact_blend / cycle_s), 1),
         windup=windup.compile_windup(settings.windup, arm.axes),
         bend=gravity_bend.compile_bend(settings.bend, arm),
         drift=dead_time.compile_drift(settings, arm.axes, cycle_s),

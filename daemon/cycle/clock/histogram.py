@@ -45,12 +45,6 @@ class Histogram:
         self._sort()
         return self._greatest_ns
 
-    @property
-    def sum_ns(self) -> int:
-        """Sum of all durations [ns]."""
-        self._sort()
-        return self._sum_ns
-
     def _sort(self) -> None:
         """Sort the waiting values into their buckets."""
         if not self._waiting:
