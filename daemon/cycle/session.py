@@ -14,10 +14,10 @@ from linemate.daemon.cycle.setpoint_reference import (
     CONFIRMATIONS,
     Axes,
     Continuation,
-    Evidence,
     Known,
     Program,
     Proof,
+    ProofEvidence,
     Start,
 )
 from linemate.protocol.controller_link import ExchangeRules, SetpointKind
@@ -237,7 +237,7 @@ class Session:
         programmed: Axes | None,
         peer: Hashable,
         continued: Continuation | None,
-    ) -> Evidence:
+    ) -> ProofEvidence:
         program, known = self._program, Known.NONE
         if program is not None and program.moved:
             known = Known.MOVED
@@ -254,7 +254,7 @@ class Session:
         confirmations = self._follow_candidate(robot, axes, peer, start)
         at_rest = self._has_rested(axes)
         self._lately.append(axes)
-        return Evidence(
+        return ProofEvidence(
             known=known,
             goes_on=continued is not None,
             held=continued is not None and continued.held is not None,

@@ -87,7 +87,7 @@ PROVEN = frozenset({Proof.CONTINUED, Proof.STARTED, Proof.UNMOVED, Proof.COMPUTE
 
 
 @dataclass(frozen=True, slots=True)
-class Evidence:
+class ProofEvidence:
     """What speaks for a proof.
 
     Attributes:
@@ -111,7 +111,7 @@ class Evidence:
     at_rest: bool = False
 
 
-def decide(evidence: Evidence) -> Proof:
+def decide(evidence: ProofEvidence) -> Proof:
     """Return the proof that the evidence gives; the first that holds."""
     e = evidence
     goes_on = e.goes_on and not e.refuted

@@ -24,7 +24,7 @@ from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.sensing.samples import SensorQueues, StepSamples
+from linemate.daemon.cycle.sensing.samples import DrainedSamples, SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
@@ -367,7 +367,7 @@ class Stepper:
         entry = LogEntry(counter, shown, inputs, outputs, state, self._state, made_with)
         return entry, plan
 
-    def _drain_samples(self, state: stepping.StepState) -> StepSamples:
+    def _drain_samples(self, state: stepping.StepState) -> DrainedSamples:
         """Return the accepted samples since the last step; their force is judged by the way."""
         settings = self.parameters.tracker.settings
         moving = self.machine.state in states.MOVING

@@ -172,7 +172,7 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | No
     layout: Mapping[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
     damage: DamageReport | None = None
-    with path.open("rb") as stream, _Tables(folder) as tables:
+    with path.open("rb") as stream, _CsvFolder(folder) as tables:
         try:
             for record in records(stream, topics):
                 if isinstance(record, Metadata) and record.name == METADATA:
@@ -192,7 +192,7 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | No
         return tables.rows(), damage
 
 
-def _add_step(tables: "_Tables", record: "StepRecord") -> None:
+def _add_step(tables: "_CsvFolder", record: "StepRecord") -> None:
     inputs = record.inputs
     head = {"k": inputs.k, "stamp_ns": inputs.stamp_ns}
     cells: Cells = {
@@ -218,7 +218,7 @@ def _add_step(tables: "_Tables", record: "StepRecord") -> None:
                 tables.add(name, flat)
 
 
-def _add_json(tables: "_Tables", name: str, message: "Message") -> None:
+def _add_json(tables: "_CsvFolder", name: str, message: "Message") -> None:
     """Add the known columns of a JSON message; lists and maps stay JSON."""
     data = json.loads(message.data)
     cells: Cells = {"log_time_ns": message.log_time, "stamp_ns": message.publish_time}
@@ -244,20 +244,20 @@ def _spread(name: str, value: Any) -> Cells:
 
 
 @dataclass(slots=True)
-class _Table:
+class _CsvFile:
     stream: TextIO
     writer: "csv.DictWriter[str]"
     rows: int = 0
 
 
 @dataclass(slots=True)
-class _Tables:
+class _CsvFolder:
     """CSV files of a folder, each opened with its first row, whose keys are its columns."""
 
     folder: Path
-    _open: dict[str, _Table] = field(default_factory=dict)
+    _open: dict[str, _CsvFile] = field(default_factory=dict)
 
-    def __enter__(self) -> "_Tables":
+    def __enter__(self) -> "_CsvFolder":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -276,13 +276,13 @@ class _Tables:
         """Rows by the name of the file."""
         return {f"{name}.csv": table.rows for name, table in self._open.items()}
 
-    def _begin(self, name: str, columns: Sequence[str]) -> _Table:
+    def _begin(self, name: str, columns: Sequence[str]) -> _CsvFile:
         self.folder.mkdir(parents=True, exist_ok=True)
         stream = (self.folder / f"{name}.csv").open("x", encoding="utf-8", newline="")
         # Keys that only later rows have get no column: a CSV file has one header.
         writer = csv.DictWriter(stream, columns, extrasaction="ignore", lineterminator="\n")
         writer.writeheader()
-        return _Table(stream, writer)
+        return _CsvFile(stream, writer)
 
 
 def _cell(value: Any) -> Any:

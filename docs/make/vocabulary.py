@@ -198,7 +198,7 @@ NAMED: dict[str, tuple[str, ...]] = {
 }
 
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry
-CLASSES_USED_TWICE = 8
+CLASSES_USED_TWICE = 4
 
 _ENTRY = re.compile(r"^\s+\*{0,2}(\w+)(?: \([^)]*\))?: (.+)$")
 _SECTIONS = ("Args:", "Attributes:")
@@ -311,7 +311,7 @@ def names_used_twice(paths: list[str]) -> Iterator[tuple[str, int, str]]:
         if not path.endswith(".py"):
             continue
         for node in ast.parse((ROOT / path).read_text("utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            if isinstance(node, ast.ClassDef):
                 classes.setdefault(node.name, []).append(path)
         if Path(path).stem not in {"__init__", "main", "settings"}:
             modules.setdefault(Path(path).name, []).append(path)

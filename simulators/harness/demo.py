@@ -390,7 +390,7 @@ def _start_daemon(station: DemoStation, children: Children) -> tuple[Child, dict
     return start_daemon(children, file, station.folder / "daemon.log", station.daemon)
 
 
-def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_Operator") -> str:
+def _stalled(emulated: Emulated, status: Mapping[str, Any], operator: "_DemoOperator") -> str:
     """Say why nothing moves."""
     telegrams = emulated.state.get("telegrams") or {}
     late = unanswered(telegrams)
@@ -406,7 +406,7 @@ def _watch(
     station: DemoStation, emulated: Emulated, daemon: Child, client: Client, view: TerminalView
 ) -> dict[str, Any]:
     """Arm, start, and look on until the emulator has ended; return the daemon's last status."""
-    operator = _Operator(client)
+    operator = _DemoOperator(client)
     status: dict[str, Any] = {}
     moved = time.monotonic()
     last_s: float | None = None
@@ -429,7 +429,7 @@ def _watch(
     return status
 
 
-class _Operator:
+class _DemoOperator:
     """Arms and starts as soon as the daemon lets it, once, and reads the status."""
 
     def __init__(self, client: Client) -> None:

@@ -26,7 +26,7 @@ _SAME = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Table:
+class _HubTable:
     """The hub on the grid of steps, in c: positions (n, 3) [m], vectors (n, 3) [rad].
 
     ``turn`` (3, 3) is the step of the screws that the vectors hold.
@@ -58,7 +58,7 @@ class Oracle:
         hubs = BodyPlant(scenario.body).hubs(conveyor.positions(times), times)
         places = np.array([hub[0] for hub in hubs])
         self._bare = np.array([hub[1] for hub in hubs]).reshape(-1, 3, 3)
-        self._table = _Table(places @ nominal, rotations.log_many(nominal.T @ self._bare))
+        self._table = _HubTable(places @ nominal, rotations.log_many(nominal.T @ self._bare))
 
     def __call__(self, stamp_ns: int, ahead: Array) -> tuple[Array, Array]:
         """Return the hub's positions (m, 3) [m] and rotation vectors (m, 3) [rad] in c.
@@ -84,7 +84,7 @@ class Oracle:
             return False
         if np.abs(turn - self._table.turn).max() > _SAME:
             vectors = rotations.log_many(self._nominal.T @ self._bare @ turn)
-            self._table = _Table(self._table.positions, vectors, turn)
+            self._table = _HubTable(self._table.positions, vectors, turn)
         return True
 
     def _turn(self, index: int) -> Array:

@@ -133,7 +133,7 @@ def _solved(poses: Sequence[Any]) -> list[Seven]:
 
 def listen(setup: Setup, plan: CommissioningRun, seed: int = SEED) -> list[Inputs]:
     """Return what arrives at the daemon; it makes no steps, which saves most of the time."""
-    station = _Station(setup, plan, seed)
+    station = _GuidedStation(setup, plan, seed)
     listener = Listener(station.link)
     station.run(listener)
     return listener.inputs
@@ -145,7 +145,7 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
     Args:
         setup: settings of the daemon, and the truth.
     """
-    station = _Station(setup, plan, seed)
+    station = _GuidedStation(setup, plan, seed)
     cycle_s = station.scenario.cycle_s
     compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, cycle_s)
     cycle = Cycle(compiled, station.link)
@@ -246,7 +246,7 @@ class Listener:
         return None if reply is None else reply.with_counter(telegram.echo)
 
 
-class _Station:
+class _GuidedStation:
     """World, guided robot and both ends of the exchange."""
 
     def __init__(self, setup: Setup, plan: CommissioningRun, seed: int) -> None:

@@ -120,7 +120,7 @@ def run(spec: DetectionRun) -> Tally:
     conveyor = replace(scenario.conveyor, events=events)
     scenario = replace(scenario, conveyor=conveyor)
     compiled = parameters_of(setup, scenario.cycle_s)
-    station = _Station(scenario, setup.tracking, pushes, touched=spec.kind in TOUCHED)
+    station = _DetectionStation(scenario, setup.tracking, pushes, touched=spec.kind in TOUCHED)
     events_seen = list(_watch(compiled.tracker.classifier, station, spec.duration_s))
     return _tally(events_seen, applied_events(conveyor), pushes, spec.duration_s)
 
@@ -192,7 +192,7 @@ def _leaned(onset_s: float, size: float, length_s: float) -> Callable[[float], f
 # What is measured
 
 
-class _Station:
+class _DetectionStation:
     """Conveyor, pushed body and the two sensors, step by step."""
 
     def __init__(
@@ -249,7 +249,9 @@ class _Station:
         return 0.0 if self._way is None else self._way(t)
 
 
-def _watch(classifier: Classifier, station: _Station, duration_s: float) -> Iterator[DaemonEvent]:
+def _watch(
+    classifier: Classifier, station: _DetectionStation, duration_s: float
+) -> Iterator[DaemonEvent]:
     """Step the classifier through the run and yield its events."""
     state: Any = None
     readings: list[float] = []

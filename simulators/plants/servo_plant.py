@@ -239,7 +239,7 @@ class VaryingServoBank(ServoBank):
         return self._one_by_one([])
 
 
-class _Table(NamedTuple):
+class _CycleMatrix(NamedTuple):
     """A cycle of all axes as one matrix, as long as none saturates.
 
     Its inputs: position off the oldest node, speed, and the rise of each line from the oldest to
@@ -264,7 +264,7 @@ class _Table(NamedTuple):
         return len(self.ends)
 
 
-def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
+def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _CycleMatrix:
     """Solve each axis once for a unit of each of its inputs."""
     n, width = len(lags), reach + 3
     units = np.eye(width)
@@ -300,7 +300,7 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _Table:
         ends.append(len(strains))
     first = len(positions) + len(speeds)
     rows = np.array(positions + speeds + strains)
-    return _Table(rows, tuple(first + end for end in ends), first)
+    return _CycleMatrix(rows, tuple(first + end for end in ends), first)
 
 
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:

@@ -11,10 +11,10 @@ import pytest
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.setpoint_reference import (
     PROVEN,
-    Evidence,
     Known,
     Programmed,
     Proof,
+    ProofEvidence,
     Start,
     decide,
     start_seen,
@@ -27,14 +27,14 @@ T = 0.012
 T_NS = 12_000_000
 
 
-def every_evidence() -> list[Evidence]:
+def every_evidence() -> list[ProofEvidence]:
     values: list[Any] = [
         list(field.type)
         if isinstance(field.type, type) and issubclass(field.type, Enum)
         else [False, True]
-        for field in fields(Evidence)
+        for field in fields(ProofEvidence)
     ]
-    return [Evidence(*combination) for combination in product(*values)]
+    return [ProofEvidence(*combination) for combination in product(*values)]
 
 
 EVERY = every_evidence()

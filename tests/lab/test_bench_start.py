@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from linemate.simulators.lab.bench import bench_start
-from linemate.simulators.lab.bench.bench_start import Controller
+from linemate.simulators.lab.bench.bench_start import AskingController
 
 
 def answered_by(reply: Callable[[bytes], bytes]) -> bool:
@@ -22,7 +22,7 @@ def answered_by(reply: Callable[[bytes], bytes]) -> bool:
 
         thread = threading.Thread(target=serve)
         thread.start()
-        controller = Controller(server.getsockname())
+        controller = AskingController(server.getsockname())
         try:
             # A cycle is too short for a thread on a busy machine.
             return any(controller.cycle() for _ in range(3))
@@ -43,7 +43,7 @@ def test_a_telegram_to_no_one_is_not_answered() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         address = free.getsockname()
-    controller = Controller(address)
+    controller = AskingController(address)
     assert not any(controller.cycle() for _ in range(3))
     assert (controller.asked, controller.answered) == (3, 0)
     controller.close()

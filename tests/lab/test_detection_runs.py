@@ -45,7 +45,7 @@ def test_rows_say_where_the_unit_was_as_long_ago_as_they_say() -> None:
         force_torque=ForceTorque(sigma_translation=0.0),
     )
     push = Push(1.0, lambda t: 0.002 * (t - 1.0))
-    station = detection_runs._Station(scenario, TrackingSettings(), [push], touched=True)
+    station = detection_runs._DetectionStation(scenario, TrackingSettings(), [push], touched=True)
     truth = ConveyorPlant(scenario.conveyor, 3, -detection_runs.LEAD_IN_S)
     sources = []
     for k in range(1, 600):

@@ -99,7 +99,7 @@ class SampleQueue(Generic[Sample]):
         return SensorFact(self.newest_ns, self._health.reason)
 
 
-class StepSamples(Struct, frozen=True):
+class DrainedSamples(Struct, frozen=True):
     """The samples of one step, oldest first."""
 
     distance: tuple[DistanceSample, ...]
@@ -154,7 +154,7 @@ class SensorQueues:
 
     def drain(
         self, conditions: Conditions, force_limit: float, weight: Vector3 = (0.0, 0.0, 0.0)
-    ) -> StepSamples:
+    ) -> DrainedSamples:
         """Return the samples of a step.
 
         Args:
@@ -167,7 +167,7 @@ class SensorQueues:
         self.overloaded = False
         for sample in wrench:
             self._check_overload(sample, force_limit, weight)
-        return StepSamples(distance, camera, wrench)
+        return DrainedSamples(distance, camera, wrench)
 
     def _count_from_object(
         self, distance: tuple[DistanceSample, ...]

@@ -51,7 +51,7 @@ STEPPED_S: Final = 2.0  # the daemon makes steps for 5 s of IDLE
 OPERATOR: Final = "linemate.daemon.operator.main"
 
 
-class Controller:
+class AskingController:
     """A controller whose robot stands, and which asks in each cycle.
 
     Attributes:
@@ -167,7 +167,7 @@ def _tried(folder: Path, config: Path) -> dict[str, float]:
         daemon, listening = _started(children, folder, config)
         ready_s, ready_cpu_s = time.monotonic() - began_s, 1e-9 * cpu_ns(daemon.pid)
         host_name, port = listening["robot"]
-        controller = Controller((host_name, port))
+        controller = AskingController((host_name, port))
         controller.run(0.5)
         killed_s = time.monotonic()
         daemon.signal_group(signal.SIGKILL)
@@ -212,7 +212,7 @@ def _at_rest(folder: Path, config: Path) -> dict[str, Any]:
         time.sleep(AT_REST_S)
         init = _share(daemon.pid, lambda: time.sleep(MEASURED_S))
         host_name, port = listening["robot"]
-        controller = Controller((host_name, port))
+        controller = AskingController((host_name, port))
         with _punctual():
             first_is_correct = controller.cycle()
             controller.run(SETTLED_S)

@@ -187,7 +187,7 @@ def measure(
         ChildError, NoAnswerError, TimeoutError: it did not come to an end.
     """
     with Children() as children:
-        run = _Run(bench, children, cycle_us, prepared=prepared)
+        run = _BenchProcesses(bench, children, cycle_us, prepared=prepared)
         try:
             return run.measure(modes)
         finally:
@@ -229,7 +229,7 @@ def wakeup(bench: Bench) -> dict[str, float] | None:
     }
 
 
-class _Run:
+class _BenchProcesses:
     """The processes of one measurement.
 
     Attributes:

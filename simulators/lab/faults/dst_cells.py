@@ -39,7 +39,7 @@ SCREWS_S = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class FaultCell:
     """What is at hand.
 
     Attributes:
@@ -58,18 +58,18 @@ class Cell:
 
 
 SHIPPED = ""
-CELLS: dict[str, Cell] = {
-    SHIPPED: Cell("dst_daemon.yaml"),
-    "second-layout": Cell("dst_second_layout.yaml"),
-    "six-axes": Cell("dst_six_axes.yaml"),
-    "ft300": Cell("dst_ft300.yaml", force_torque="robotiq-ft300", wrench_period_s=0.01),
-    "tf03": Cell(
+CELLS: dict[str, FaultCell] = {
+    SHIPPED: FaultCell("dst_daemon.yaml"),
+    "second-layout": FaultCell("dst_second_layout.yaml"),
+    "six-axes": FaultCell("dst_six_axes.yaml"),
+    "ft300": FaultCell("dst_ft300.yaml", force_torque="robotiq-ft300", wrench_period_s=0.01),
+    "tf03": FaultCell(
         "dst_tf03.yaml",
         message="TF03",
         signal="Distance",
         distance=DistanceSensor(period_s=0.01, sigma=2e-3, quantisation=0.0),
     ),
-    "no-force": Cell("dst_no_force.yaml", force_torque=None),
+    "no-force": FaultCell("dst_no_force.yaml", force_torque=None),
 }
 """By the name that a plan has."""
 

@@ -21,7 +21,7 @@ from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking import task_clock
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.cycle import states, watch
-from linemate.daemon.cycle.sensing.samples import SensorQueues, StepSamples
+from linemate.daemon.cycle.sensing.samples import DrainedSamples, SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import CameraHealth, DistanceHealth, WrenchHealth
 from linemate.daemon.cycle.session import Session
 from linemate.daemon.cycle.states import Link, Machine, State
@@ -115,7 +115,7 @@ def _distance_off() -> list[Patch]:
 def _overload_never() -> list[Patch]:
     whole = SensorQueues.drain
 
-    def drain(self: SensorQueues, *args: Any) -> StepSamples:
+    def drain(self: SensorQueues, *args: Any) -> DrainedSamples:
         samples = whole(self, *args)
         self.overloaded = False
         return samples
