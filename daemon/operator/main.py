@@ -54,7 +54,7 @@ def _main(words: Sequence[str]) -> int:
     try:
         return run(args)
     except NoAnswerError as error:
-        console.complain(f"no answer from {error}")
+        console.complain(f"no answer from {error}. Start the daemon, or name its socket: --socket")
         return NO_ANSWER
     except KeyFileError as error:
         console.complain(error)

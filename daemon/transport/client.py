@@ -171,7 +171,9 @@ class Client:
             answer = self._await_answer(link, sent.sequence, sent.frame, timeout_s)
         except (OSError, NoAnswerError) as error:
             self.close()
-            raise NoAnswerError(f"{self._where()}: {error}") from error
+            # Without the number of the error, which says nothing to an operator.
+            why = getattr(error, "strerror", None) or error
+            raise NoAnswerError(f"{self._where()}: {why}") from error
         self._last_ns = time.monotonic_ns()
         return answer
 

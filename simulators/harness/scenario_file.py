@@ -14,6 +14,7 @@ from typing import Any
 
 from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import Complaint, FileError
+from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.world import world_rows
@@ -125,8 +126,9 @@ def _document(name: str) -> documents.YamlDocument:
     try:
         data = path.read_bytes()
     except (OSError, ValueError) as error:
-        what = f"{error}; shipped are {', '.join(known)}"
-        raise FileError([f"{name}:1:1: (file): {what}"]) from error
+        why = getattr(error, "strerror", None) or error
+        others = near_names(name, known) or f"; shipped are {', '.join(known)}"
+        raise FileError([f"{name}:1:1: (file): {why}{others}"]) from error
     return documents.read(data, str(path))
 
 
