@@ -13,9 +13,10 @@ Has = Callable[[str], bool]
 
 FILE = Path(__file__).resolve().parents[1] / "lag.png"
 COMMAND = "python -m linemate.simulators.lab.lag"
-CURVE = "lag-curve"
+CURVE, TOUCH = "lag-curve", "cycles-touch"
 COMMANDS = {
-    CURVE: f"{COMMAND} --curve --seeds 4",
+    CURVE: f"{COMMAND} --curve --touch --seeds 4",
+    TOUCH: f"{COMMAND} --cycles --touch --seeds 4",
     "lag": f"{COMMAND} --seeds 4",
     "cycles": f"{COMMAND} --seeds 4 --cycles",
 }
@@ -68,6 +69,22 @@ def by_cycle(load: Load, has: Has) -> str:
         head,
         lambda row: f"{row[CONTROL]['median'] / reference:.2f}",
     )
+
+
+def by_cycle_to_touch(load: Load, has: Has) -> str:
+    """Return a row for each cycle of runs until the touch, with its control error over 4 ms'."""
+    if not has(TOUCH):
+        return _not_measured(TOUCH)
+    rows = load(TOUCH)
+    shown, reference = COLUMNS[:3], rows[REFERENCE_MS][CONTROL]["median"]
+    head = [f"[cycle, ms](results/{TOUCH}.json)", *(label for label, _ in shown),
+            f"control error over that of {REFERENCE_MS} ms"]  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for label, row in rows.items():
+        cells = [_cell(row.get(key)) for _, key in shown]
+        ratio = f"{row[CONTROL]['median'] / reference:.2f}"
+        lines.append("| " + " | ".join([label, *cells, ratio]) + " |")
+    return "\n".join(lines)
 
 
 def by_family(load: Load, has: Has) -> str:

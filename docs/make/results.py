@@ -350,6 +350,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "contact": lambda: contact_results.table(load, is_stored),
     "lag": lambda: lag_results.by_lag(load, is_stored),
     "lag-curve": lambda: lag_results.by_curve(load, is_stored),
+    "cycles-touch": lambda: lag_results.by_cycle_to_touch(load, is_stored),
     "cycles": lambda: lag_results.by_cycle(load, is_stored),
     "families": lambda: lag_results.by_family(load, is_stored),
     "contact-growing": lambda: contact_results.growing(load, is_stored),

@@ -1,8 +1,8 @@
 """Assemblies behind controllers that lag, and at every cycle: what both cost.
 
 By lag: a dead time that is identified as it is, then one that grows while the robot moves and is
-followed. By cycle (``--cycles``): RSI at one period after another. ``--curve``: more dead times,
-each until the tool has touched the object.
+followed. By cycle (``--cycles``): RSI at one period after another. ``--curve``: more dead times.
+``--touch``: runs end when the tool has touched the object.
 
 Invariants:
     The daemon's dead times are the plant's: what is measured is the price of the lag itself.
@@ -24,7 +24,7 @@ from linemate.simulators.lab.campaign import CampaignJob, execute
 
 LAGS_MS = (36.0, 84.0, 120.0, 180.0)
 CURVE_MS = (20.0, 36.0, 60.0, 84.0, 120.0, 150.0, 180.0)
-CURVE_S = 6.5  # a stop of the conveyor and the touch are over by then
+TOUCH_S = 6.5  # a stop of the conveyor and the touch are over by then
 DRIFTS_MS = ((84.0, 180.0),)
 """From and to, in twenty seconds: FANUC rested and warm, the drift of hours in one assembly."""
 
@@ -41,17 +41,17 @@ FIGURES = (
 )
 
 
-def lagging(lag_s: float, growth_s: float = 0.0, duration_s: float | None = None) -> Setup:
+def lagging(lag_s: float, growth_s: float = 0.0, changes: Sequence[str] = ()) -> Setup:
     """Return a cell behind a FANUC controller whose slowest axis has a dead time.
 
     Args:
         lag_s: dead time of the slowest axis; all axes get as much more [s].
         growth_s: by which it grows in twenty seconds, followed by the daemon [s].
-        duration_s: end of a run; None: that of the scenario.
+        changes: of the scenario and the parameters, ``KEY=VALUE``.
     """
-    changes = [] if duration_s is None else [f"scenario.duration_s={duration_s}"]
     if growth_s:
-        changes += [
+        changes = [
+            *changes,
             f"scenario.robot.effects.warming.growth_s={growth_s}",
             f"control.drift.longer={growth_s + DRIFT_MARGIN_S}",
         ]
@@ -87,21 +87,21 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=4)
     kinds = parser.add_mutually_exclusive_group()
     kinds.add_argument("--cycles", action="store_true", help="by cycle, with RSI")
-    kinds.add_argument("--curve", action="store_true", help="more dead times, until the touch")
+    kinds.add_argument("--curve", action="store_true", help="more dead times")
+    parser.add_argument("--touch", action="store_true", help="end after the touch")
     args = parser.parse_args(words)
     one_thread()
     seeds = range(args.seeds)
+    changes = (f"scenario.duration_s={TOUCH_S}",) if args.touch else ()
     if args.cycles:
         rows = {
-            f"{cycle:g}": measured(setup.make("wheel", cycle_ms=cycle), seeds)
+            f"{cycle:g}": measured(setup.make("wheel", changes, cycle_ms=cycle), seeds)
             for cycle in CYCLES_MS
         }
-    elif args.curve:
-        rows = {
-            f"{lag:g}": measured(lagging(1e-3 * lag, duration_s=CURVE_S), seeds) for lag in CURVE_MS
-        }
     else:
-        rows = {f"{lag:g}": measured(lagging(1e-3 * lag), seeds) for lag in LAGS_MS}
+        lags_ms = CURVE_MS if args.curve else LAGS_MS
+        rows = {f"{lag:g}": measured(lagging(1e-3 * lag, 0.0, changes), seeds) for lag in lags_ms}
+    if not (args.cycles or args.curve):
         rows |= {
             f"{low:g} to {high:g}": measured(lagging(1e-3 * low, 1e-3 * (high - low)), seeds)
             for low, high in DRIFTS_MS

@@ -20,6 +20,12 @@ def test_a_cycle_is_compared_with_the_one_of_4_ms() -> None:
     assert [line.rsplit("|", 2)[1].strip() for line in text.splitlines()[2:]] == ["1.00", "1.10"]
 
 
+def test_a_cycle_until_the_touch_is_compared_with_the_one_of_4_ms() -> None:
+    rows = {"4": row(0.1), "12": row(0.06)}
+    text = lag_results.by_cycle_to_touch(lambda _: rows, lambda _: True)
+    assert text.splitlines()[3] == "| 12 | 0.06 (0.12) | - | - | 0.60 |"
+
+
 def test_what_was_not_measured_says_so() -> None:
     for table in (lag_results.by_lag, lag_results.by_cycle, lag_results.by_curve):
         assert "Not measured yet" in table(lambda _: {}, lambda _: False)
