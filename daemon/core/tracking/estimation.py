@@ -34,7 +34,15 @@ from linemate.daemon.core.tracking.observation import (
     remember,
 )
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import compliance, contact, force_sign, release, tare
+from linemate.daemon.core.tracking.touch import (
+    bolt_search,
+    compliance,
+    contact,
+    force_sign,
+    release,
+    tare,
+)
+from linemate.daemon.core.tracking.touch.bolt_search import BoltSearch
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 from linemate.protocol.stamped_samples import DistanceSample
@@ -74,7 +82,7 @@ def estimate(
     state = _with_sign(tracker, state, wrench)
     felt = wrench if is_force_used(tracker, state, wrench) else None
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
-    first_poses = _pose_measurements(tracker, history, samples, felt)
+    first_poses = _pose_measurements(tracker, history, samples, felt, state.bolts)
     rows = [
         distance_measurement(tracker, samples.stamp_ns, *block)
         for block in mean_distances(samples.distance)
@@ -473,11 +481,13 @@ def _pose_measurements(
     history: History | None,
     samples: StepSamples,
     wrench: Wrench | None,
+    bolts: BoltSearch,
 ) -> list[tuple[Source, PoseMeasurement, float]]:
     """Return the pose measurements of the camera and of the force-torque sensor.
 
     Args:
         wrench: of the clamped tool; None if it does not measure the object.
+        bolts: by which the tool is turned against the object.
     """
     measurements: list[tuple[Source, PoseMeasurement, float]] = []
     if history is None or not (samples.camera or wrench is not None):
@@ -496,5 +506,8 @@ def _pose_measurements(
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
             measured = measure_touch(wrench, tcp, settings.tactile, samples.stamp_ns, rate)
+            if bolts.tried:
+                rotation = bolt_search.unturned(measured.rotation, bolts)
+                measured = replace(measured, rotation=rotation)
             measurements.append((Source.TACTILE, measured, settings.tactile.gate))
     return measurements

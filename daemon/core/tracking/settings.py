@@ -128,11 +128,14 @@ class PayloadSettings:
         centre: its centre of gravity in the tcp [m].
         bolts: length of bolts or pins that enter before the face touches [m]. A force felt over
             that way is contact only if it is as large as a face's.
+        bolt_angle: by which their angle about the object's axis may be off to each side, unseen by
+            the camera [rad]. A tool whose bolts do not enter tries again, turned by shares of it.
     """
 
     mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
     centre: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     bolts: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
+    bolt_angle: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,6 +43,7 @@ from linemate.daemon.core.tracking.task_clock import (
     standing_time,
 )
 from linemate.daemon.core.tracking.touch import (
+    bolt_search,
     compliance,
     contact,
     force_sign,
@@ -113,6 +114,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         ramp=RUNNING,
         compliance=compliance.NO_COMPLIANCE,
         tare=tare.NO_TARE,
+        bolts=bolt_search.NO_BOLT_SEARCH,
     )
 
 
@@ -144,8 +146,8 @@ def track(
     if retreat and not state.started and state.anchor is None:
         state = replace(state, anchor=state.poses[-1])
     stood = retreat and state.anchor is None and bool((state.poses == state.poses[0]).all())
-    state = decide(tracker, state, view, samples)
-    state = advance_clock(tracker, state, view, samples, retreat)
+    state = _searching_bolts(tracker, state, None if retreat else wrench)
+    state = advance_clock(tracker, decide(tracker, state, view, samples), view, samples, retreat)
     span = tracker.span
     limit = standing_time(tracker, state, retreat) if state.started else state.time
     goal, relative = _programmed_poses(tracker, state, limit, retreat)
@@ -168,6 +170,7 @@ def track(
         state = _ease(tracker, state, view, samples.stamp_ns, target, part)
         state = comply(tracker, state, samples, view, wrench, part)
         target, part = _complied(tracker, state, target, part)
+        target = bolt_search.turned(target, state.bolts, span)
         if state.blended is not None and state.blended >= tracker.settings.merge.blend:
             goal = sagging(state, target)
         elif state.blended is not None:
@@ -230,6 +233,22 @@ def _is_searching(tracker: Tracker, state: TrackerState) -> bool:
     if state.contact or state.releasing is not None or state.blended is None:
         return False
     return state.time >= tracker.search_time
+
+
+def _searching_bolts(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:
+    """Return the state with the search for the angle of bolts one step later."""
+    payload = tracker.settings.payload
+    if payload.bolts <= 0.0 or state.contact or state.withdrawn is not None:
+        return state
+    overload = tracker.settings.tactile.overload_force
+    jams = wrench is not None and bolt_search.is_jammed(
+        wrench.force.tolist(), payload.bolts, state.distance, overload
+    )
+    is_back = state.time <= tracker.sight_time
+    bolts = bolt_search.advanced(
+        state.bolts, payload.bolt_angle, tracker.cycle_s, jams=jams, is_back=is_back
+    )
+    return state if bolts is state.bolts else replace(state, bolts=bolts)
 
 
 def _advance_search(tracker: Tracker, state: TrackerState) -> guard.ContactSearch:

@@ -29,6 +29,7 @@ from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
 from linemate.daemon.core.tracking.touch import contact, guard
+from linemate.daemon.core.tracking.touch.bolt_search import NO_BOLT_SEARCH, BoltSearch
 from linemate.daemon.core.tracking.touch.compliance import (
     NO_COMPLIANCE,
     Compliance,
@@ -172,6 +173,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         sampled: forces of its samples along the tool's axis, off their mean [N].
         ramp: how the task's clock goes on before contact.
         force_sign: whether the force on the clamped tool measures the object.
+        bolts: search for the angle of bolts that do not enter.
     """
 
     history: History | None
@@ -223,6 +225,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     sampled: tuple[float, ...] = ()
     ramp: ClockRamp = RUNNING
     force_sign: ForceSign = TRUSTED
+    bolts: BoltSearch = NO_BOLT_SEARCH
 
 
 class Report(Struct, frozen=True, eq=False):

@@ -7,7 +7,8 @@ Invariants:
 - Where a clamp may have closed the tool stands and does not back off.
 - A tool that backs off does so up to the far gate: turning back midway excites it, and a force of
   its own inertia looks like a touch.
-- A change of class that no image has shown makes the tool back off at once: it has to look.
+- A change of class that no image has shown makes the tool back off at once: it has to look. So do
+  bolts that do not enter.
 - In the final zone the decision is over: the touch has begun.
 """
 
@@ -60,6 +61,8 @@ class Reason(StrEnum):
     FOLLOWING = "following"
     CHANGE = "change"
     UNSEEN = "unseen"
+    TURN = "turn"
+    BOLTS = "bolts"
 
 
 _ALWAYS = frozenset(
@@ -71,8 +74,11 @@ _ALWAYS = frozenset(
         Reason.INNOVATION,
         Reason.FOLLOWING,
         Reason.UNSEEN,
+        Reason.TURN,
+        Reason.BOLTS,
     }
 )
+_BACK_AT_ONCE = frozenset({Reason.UNSEEN, Reason.TURN, Reason.BOLTS})
 
 COUNTED: dict[Zone, frozenset[Reason]] = {
     Zone.FAR: frozenset(Reason),
@@ -95,6 +101,8 @@ TODO: dict[Reason, str] = {
     Reason.FOLLOWING: "Check the drives and the servo models.",
     Reason.CHANGE: "Wait for the conveyor.",
     Reason.UNSEEN: "Wait, or identify the sway: record stops that the camera sees.",
+    Reason.TURN: "Wait, or check the angle of the wheel.",
+    Reason.BOLTS: "Check the angle of the wheel and of the bolts, and the camera's mounting.",
 }
 
 
@@ -118,6 +126,8 @@ class GoEvidence(Struct, frozen=True):
         steady_s: time since the last change of class was confirmed [s].
         looked_s: for how long the camera has seen the object since a change of class that can make
             it sway by more than is known; infinity without one [s].
+        turns: the bolts did not enter: the tool backs off, and turns to another angle.
+        jams: nor did they at any other angle.
     """
 
     sight_s: float
@@ -133,6 +143,8 @@ class GoEvidence(Struct, frozen=True):
     tentative: bool
     steady_s: float
     looked_s: float = math.inf
+    turns: bool = False
+    jams: bool = False
 
 
 class GoState(Struct, frozen=True):
@@ -184,11 +196,14 @@ def next_state(
         return _gone(state)
     lasted_s = 0.0 if state.order is GoOrder.GO else state.lasted_s + dt
     order = GoOrder.STAND
-    is_late = state.order is GoOrder.BACK or lasted_s >= BACK_S or Reason.UNSEEN in counted
+    is_late = state.order is GoOrder.BACK or lasted_s >= BACK_S
+    is_late = is_late or not _BACK_AT_ONCE.isdisjoint(counted)
     if zone is not Zone.FAR and may_back and is_late:
         order = GoOrder.BACK
     waits = stands or zone is not Zone.FAR
     waited_s = state.waited_s + dt if waits else state.waited_s
+    if Reason.TURN in counted:
+        waited_s = 0.0  # Each attempt may wait as long; their number is bounded.
     shown = counted or state.reasons
     return GoState(order, shown, state.text, clear_s, lasted_s, waited_s)
 
@@ -222,6 +237,8 @@ def find_reasons(
         (Reason.FOLLOWING, evidence.following > place),
         (Reason.CHANGE, evidence.tentative or evidence.steady_s < STEADY_S),
         (Reason.UNSEEN, evidence.looked_s < LOOK_S),
+        (Reason.TURN, evidence.turns),
+        (Reason.BOLTS, evidence.jams),
     )
     return tuple([reason for reason, holds in lacking if holds])
 
@@ -253,5 +270,7 @@ def describe(reason: Reason, evidence: GoEvidence, guard: GuardedApproach) -> st
             f"object seen for {evidence.looked_s:.1f} s since the conveyor's motion changed, "
             f"{LOOK_S:.1f} s needed"
         ),
+        Reason.TURN: "the bolts did not enter, the tool turns to another angle",
+        Reason.BOLTS: "the bolts enter at none of the angles",
     }
     return f"{whats[reason]}. {TODO[reason]}"

@@ -140,6 +140,8 @@ def gather(
         tentative=view.tentative and _moves(tracker, view) > tracker.task.guard.tolerance,
         steady_s=state.steady_s,
         looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,
+        turns=state.bolts.is_jammed and not state.bolts.is_over,
+        jams=state.bolts.is_over,
     )
 
 

@@ -52,7 +52,10 @@ BAD = {
     Reason.FOLLOWING: {"following": GUARD.tolerance + 1e-6},
     Reason.CHANGE: {"tentative": True},
     Reason.UNSEEN: {"looked_s": LOOK_S - 0.01},
+    Reason.TURN: {"turns": True},
+    Reason.BOLTS: {"jams": True},
 }
+AT_ONCE = {Reason.UNSEEN, Reason.TURN, Reason.BOLTS}
 
 
 def after(
@@ -98,13 +101,14 @@ def test_the_whole_table_decides(
     if zone is Zone.FINAL:
         assert new.order is GoOrder.GO
     elif order is GoOrder.GO:
-        backs = zone is not Zone.FAR and may_back and reasons == (Reason.UNSEEN,)
+        backs = zone is not Zone.FAR and may_back and bool(set(reasons) & AT_ONCE)
         stops = GoOrder.BACK if backs else GoOrder.STAND
         assert new.order is (stops if counts else GoOrder.GO)
     else:
         backs = zone is not Zone.FAR and may_back
         assert new.order is (GoOrder.BACK if backs else GoOrder.STAND)
-        assert new.waited_s == pytest.approx(1.0 + T0)
+        waited_s = 0.0 if reasons == (Reason.TURN,) else 1.0 + T0
+        assert new.waited_s == pytest.approx(waited_s)
         is_clear = not counts or reasons == (Reason.UNCHECKED,)
         assert new.clear_s == pytest.approx(T0 if is_clear else 0.0)
 

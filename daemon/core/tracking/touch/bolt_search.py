@@ -1,0 +1,116 @@
+"""Search for the angle of bolts: a tool whose bolts do not enter tries again, turned.
+
+The camera sees the object, but hardly its bolts' angle about its axis. Bolts that meet the face
+between their holes stop the tool, and no force tells to which side they have to turn. So the tool
+backs off, turns about its axis, and comes again.
+
+Invariants:
+- The tool turns at the far gate alone, and stays turned until the task is over.
+- A chamfer that draws the bolts in pushes aside as hard as it pushes back: that is no jam.
+- After the last angle the tool waits before contact: pressing on would drive the object away.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.approach import smoothstep
+from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
+
+TURNS = (0.0, 0.5, -0.5, 1.0, -1.0)  # angles that are tried, as shares of the bolts' range
+LAST = len(TURNS) - 1
+JAMMED_SHARE = 0.17  # of the overload, as force along the axis; the tool moves on for 0.2 s
+ASIDE = 0.5  # share of it across the axis: less is friction, more is a chamfer
+DEEPEST = 0.4  # share of the bolts' length from the face, within which a force may be the face's
+TURN_S = 1.0  # time of a turn [s]
+
+
+class BoltSearch(Struct, frozen=True):
+    """State of the search in one approach.
+
+    Attributes:
+        tried: index of the angle in ``TURNS``.
+        is_jammed: the bolts do not enter at it: the tool backs off, or turns.
+        before: angle of the tool before the last turn [rad].
+        angle: to which it turns, about its axis [rad].
+        turning: time since that turn began [s].
+    """
+
+    tried: int = 0
+    is_jammed: bool = False
+    before: float = 0.0
+    angle: float = 0.0
+    turning: float = TURN_S
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the bolts do not enter at the last angle either."""
+        return self.is_jammed and self.tried == LAST
+
+
+NO_BOLT_SEARCH = BoltSearch()
+
+
+def is_jammed(force: Sequence[float], length: float, distance: float, overload: float) -> bool:
+    """Return whether the tips of the bolts rest between their holes.
+
+    Args:
+        force: of the contact on the tool, in its axes [N].
+        length: of the bolts from the face [m]; 0 for none.
+        distance: programmed, from the tcp to the object along its z [m].
+        overload: force that the tool bears [N].
+    """
+    if not -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE):
+        return False
+    x, y, z = force
+    return z < -JAMMED_SHARE * overload and math.hypot(x, y) < -ASIDE * z
+
+
+def advanced(
+    search: BoltSearch, spread: float, dt: float, *, jams: bool, is_back: bool
+) -> BoltSearch:
+    """Return the search one step later.
+
+    Args:
+        spread: by which the bolts' angle may be off to each side [rad].
+        jams: the tips rest between their holes.
+        is_back: the tool is at the far gate.
+    """
+    if jams and not search.is_jammed:
+        # Without other angles the search is over.
+        return replace(search, is_jammed=True, tried=search.tried if spread > 0.0 else LAST)
+    if search.turning < TURN_S:
+        turning = search.turning + dt
+        return replace(search, turning=turning, is_jammed=turning < TURN_S)
+    if search.is_jammed and is_back and not search.is_over:
+        tried = search.tried + 1
+        return BoltSearch(tried, True, search.angle, TURNS[tried] * spread, 0.0)
+    return search
+
+
+def turned(target: Array, search: BoltSearch, span: Array) -> Array:
+    """Return the target (m, 6) of the tcp, turned about its axis.
+
+    Args:
+        target: (m, 6), stays as it is.
+        span: (m,) times from now [s].
+    """
+    if search.before == search.angle == 0.0:
+        return target
+    share = smoothstep((search.turning + span) / TURN_S)
+    angles = search.before + share * (search.angle - search.before)
+    turns = rotations.exp_many(np.outer(angles, (0.0, 0.0, 1.0)))
+    changed = target.copy()
+    changed[:, 3:] = rotations.log_many(rotations.exp_many(target[:, 3:]) @ turns)
+    return changed
+
+
+def unturned(rotation: Array, search: BoltSearch) -> Array:
+    """Return the object's orientation (3, 3) that a turned tool feels with its own."""
+    back: Array = rotation @ rotations.exp(np.array((0.0, 0.0, -search.angle)))
+    return back
