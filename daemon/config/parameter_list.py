@@ -51,6 +51,7 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.distance.deviation": _LIVE,
     "tracking.distance.gate": _LIVE,
     "tracking.camera": _LIVE,
+    "tracking.camera.felt": _NOT_IN_CONTACT,
     "tracking.fusion": _LIVE,
     "tracking.fusion.ripple_time": _IDLE,
     "tracking.fusion.initial_images": _IDLE,

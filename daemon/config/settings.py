@@ -360,6 +360,7 @@ class Config:
         state: directory for what operators save. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
             robot stands. None keeps the models.
+        learn_touches: correct ``tracking.camera.felt`` by where good assemblies felt the object.
         production: parts one after the other, by their variants. None: each task is armed and
             started by hand.
         version: of the file's layout.
@@ -382,5 +383,6 @@ class Config:
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
     control: ControlSettings = field(default_factory=ControlSettings)
     learning: AdaptationSettings | None = None
+    learn_touches: bool = False
     production: ProductionSettings | None = None
     version: Annotated[int, Ge(1), Le(1)] = 1

@@ -92,6 +92,12 @@ def _axis_range(controller: control.Controller) -> tuple[float, float]:
     return float(controller.limits.lower[6]), float(controller.limits.upper[6])
 
 
+def _camera_in_tcp(task: TaskFile, tracking: TrackingSettings) -> tuple[Array, Array]:
+    """Return position (3,) and rotation (3, 3) of the camera in the tcp, as touches correct it."""
+    mount, felt = task.arm.camera_in_tcp, np.array((*tracking.camera.felt, 0.0))
+    return np.array(mount.position) + felt, rotations.matrix(mount.quaternion)
+
+
 def build(
     task: TaskFile,
     urdf_text: str,
@@ -152,7 +158,7 @@ def _tracker(
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
     leads = prediction_error.lead_times(reference.contact_time - reference.sight_time)
     blend = control_settings.filters.contact_blend
-    camera, along_tool = task.arm.camera_in_tcp, control_settings.effector[TOOL_AXIS]
+    along_tool = control_settings.effector[TOOL_AXIS]
     return Tracker(
         task=task,
         settings=tracking,
@@ -160,7 +166,7 @@ def _tracker(
         classifier=_classifier(task, tracking),
         transverse=Transverse(tracking.fusion, tracking.swing, tracking.camera),
         table=table,
-        camera=(np.array(camera.position), rotations.matrix(camera.quaternion)),
+        camera=_camera_in_tcp(task, tracking),
         cycle_s=cycle_s,
         steps=controller.steps,
         merge_free=free,
@@ -249,6 +255,7 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
     tracker = replace(
         parameters.tracker,
         settings=tracking,
+        camera=_camera_in_tcp(parameters.tracker.task, tracking),
         classifier=_classifier(parameters.tracker.task, tracking),
         transverse=Transverse(tracking.fusion, tracking.swing, tracking.camera),
     )

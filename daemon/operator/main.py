@@ -161,6 +161,7 @@ AddParser = Callable[[Any, argparse.ArgumentParser], None]
 COMMANDS: Final[dict[str, str | AddParser]] = {
     "status": "status_command",
     "param": "param_command",
+    "learned": "learned_command",
     **dict.fromkeys(ORDERS, _add_orders),
     "record": _add_record,
     **dict.fromkeys(("announce", "skip", "next", "hold", "queue"), "production.orders"),

@@ -23,12 +23,14 @@ from linemate.daemon.config.key_file import key_path, read_keys
 from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.cycle import learning, states, watch
+from linemate.daemon.cycle import states, watch
 from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import Learner
+from linemate.daemon.cycle.learning import servos, touches
+from linemate.daemon.cycle.learning.servos import Learner
+from linemate.daemon.cycle.learning.touches import TouchLearner
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import viewer_messages
@@ -124,6 +126,7 @@ class App:
         self._commands = build_command_port(station, self._handle, self._telemetry)
         self._recorder = build_recorder(station)
         self._learner = build_learner(station, parameters.cycle_s)
+        self._touches = TouchLearner() if config.learn_touches else None
         self._live = LiveTelemetry(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
@@ -434,6 +437,8 @@ class App:
         self._live.record(entries, times)
         if self._learner is not None:
             self._learn(self._learner, entries)
+        if self._touches is not None:
+            self._learn_touch(self._touches, entries)
         if self._production is not None:
             self._production.advance(entries, now_ns)
         self._rest.update(now_ns)
@@ -469,11 +474,21 @@ class App:
                 log.error("servo models are not estimated: %s", error)
                 return
             values = learner.keep(finished.result(), self._parameters.settings.control.servos)
-            answer = self._parameters.set(values, learning.WHO) if values else {}
+            answer = self._parameters.set(values, servos.WHO) if values else {}
             if isinstance(answer, dict) and "refused" in answer:
                 self._events.add(f"the estimated servo models are not used: {answer['refused']}")
 
         work.add_done_callback(done)
+
+    def _learn_touch(self, learner: TouchLearner, entries: Sequence[LogEntry]) -> None:
+        """Correct the camera by the touch of a good assembly, once the robot stands."""
+        learner.record_touch(entries)
+        if learner.touch is None or not self.cycle.stands:
+            return
+        values = learner.keep(self._parameters.settings.tracking.camera.felt)
+        answer = self._parameters.set(values, touches.WHO) if values else {}
+        if isinstance(answer, dict) and "refused" in answer:
+            self._events.add(f"what the touch has shown is not used: {answer['refused']}")
 
     def _serve_operators(self, now_ns: int) -> None:
         """Handle operators' messages, and open a window until the next step is due."""

@@ -9,7 +9,7 @@ from linemate.daemon.config.section_checks import group_ids
 from linemate.daemon.config.settings import ControllerKind, Corrections
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import Learner
+from linemate.daemon.cycle.learning.servos import Learner
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.command_server import CommandPort, Handler, Snapshot
 from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint

@@ -6,8 +6,9 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_linemate_param_subparsers=(list get set save describe diff)
+_shtab_linemate_learned_subparsers=(show reset)
 _shtab_linemate_rsi_subparsers=(lint files)
-_shtab_linemate_subparsers=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
+_shtab_linemate_subparsers=(status param learned arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
 
 _shtab_linemate_status_option_strings=(-h --help --socket --udp --key --key-name --timeout --json --watch --all --interval --for)
 _shtab_linemate_param_list_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -17,6 +18,9 @@ _shtab_linemate_param_save_option_strings=(-h --help --socket --udp --key --key-
 _shtab_linemate_param_describe_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_param_diff_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_param_option_strings=(-h --help)
+_shtab_linemate_learned_show_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
+_shtab_linemate_learned_reset_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
+_shtab_linemate_learned_option_strings=(-h --help)
 _shtab_linemate_arm_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_start_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
 _shtab_linemate_stop_option_strings=(-h --help --socket --udp --key --key-name --timeout --json)
@@ -63,6 +67,10 @@ _shtab_linemate_param_describe___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_param_describe___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_param_diff___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_param_diff___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_learned_show___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_learned_show___key_COMPGEN=_shtab_compgen_files
+_shtab_linemate_learned_reset___socket_COMPGEN=_shtab_compgen_files
+_shtab_linemate_learned_reset___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_arm___socket_COMPGEN=_shtab_compgen_files
 _shtab_linemate_arm___key_COMPGEN=_shtab_compgen_files
 _shtab_linemate_start___socket_COMPGEN=_shtab_compgen_files
@@ -118,13 +126,14 @@ _shtab_linemate_rsi_lint___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_rsi_files_pos_1_COMPGEN=_shtab_compgen_dirs
 
 _shtab_linemate_param_pos_0_choices=(list get set save describe diff)
+_shtab_linemate_learned_pos_0_choices=(show reset)
 _shtab_linemate_record_pos_0_choices=(start stop)
 _shtab_linemate_plc_user_pos_1_choices=(view operate)
 _shtab_linemate_commission___step_choices=(links signs limits force camera conveyor servos object dry-run page)
 _shtab_linemate_keygen_pos_1_choices=(view operate)
 _shtab_linemate_rsi_files_pos_0_choices=(kss-8.2 kss-8.5 iiqka-os2)
 _shtab_linemate_rsi_pos_0_choices=(lint files)
-_shtab_linemate_pos_0_choices=(status param arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
+_shtab_linemate_pos_0_choices=(status param learned arm start stop retreat ack home record announce skip next hold queue report plc plc-user identify commission replay export recover view metrics bridge ros2 fleet doctor keygen rsi)
 
 _shtab_linemate_status__h_nargs=0
 _shtab_linemate_status___help_nargs=0
@@ -154,6 +163,15 @@ _shtab_linemate_param_diff___json_nargs=0
 _shtab_linemate_param_pos_0_nargs=A...
 _shtab_linemate_param__h_nargs=0
 _shtab_linemate_param___help_nargs=0
+_shtab_linemate_learned_show__h_nargs=0
+_shtab_linemate_learned_show___help_nargs=0
+_shtab_linemate_learned_show___json_nargs=0
+_shtab_linemate_learned_reset__h_nargs=0
+_shtab_linemate_learned_reset___help_nargs=0
+_shtab_linemate_learned_reset___json_nargs=0
+_shtab_linemate_learned_pos_0_nargs=A...
+_shtab_linemate_learned__h_nargs=0
+_shtab_linemate_learned___help_nargs=0
 _shtab_linemate_arm__h_nargs=0
 _shtab_linemate_arm___help_nargs=0
 _shtab_linemate_arm___json_nargs=0

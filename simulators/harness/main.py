@@ -392,6 +392,13 @@ def _add_world(commands: "Commands[CommandLine]") -> None:
     world.add_argument("--rows", metavar="A,B,...", help="names of rows; all by default")
     world.add_argument("--seeds", type=seeds, default=(0, 1, 2), metavar="N|A..B", help="0..2")
     world.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    world.add_argument(
+        "--learnt",
+        type=int,
+        default=0,
+        metavar="N",
+        help="cars before each run in the same cell, whose touches correct the camera; 0",
+    )
     world.add_argument("--json", action="store_true", help="print JSON instead of a table")
     world.add_argument("--check", action="store_true", help="end with 1 if a run collided")
     world.add_argument("--list", action="store_true", help="print the rows and what they change")

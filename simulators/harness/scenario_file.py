@@ -72,6 +72,7 @@ RANGES: dict[str, tuple[float | None, float | None]] = {
     "mass_spread": (0.0, 0.9),
     "count": (0, None),
     "seed": (0, 2**63 - 1),
+    "cell_seed": (0, 2**63 - 1),
 }
 """Lowest and highest value of the fields of that name; tuples item by item."""
 

@@ -359,6 +359,7 @@ class Scenario:
         cycle_s: the controller's cycle [s].
         lead_in_s: the run starts this long before t = 0 [s].
         duration_s: scenario time at the latest end [s].
+        cell_seed: of what stays from car to car: the arm's zeros and links; None: the seed.
     """
 
     name: str = "wheel"
@@ -375,6 +376,7 @@ class Scenario:
     effector: Effector = field(default_factory=Effector)
     contact: Contact = field(default_factory=Contact)
     faults: tuple[Fault, ...] = ()
+    cell_seed: int | None = None
 
     @property
     def events(self) -> tuple[AppliedEvent, ...]:

@@ -83,9 +83,10 @@ class World:
         self._conveyor = ConveyorPlant(scenario.conveyor, seed, start)
         self._body = BodyPlant(scenario.body)
         self._arm = ArmPlant(scenario.robot)
-        self._real_arm = ArmPlant(replace(scenario.robot, links=true_links(scenario.robot, seed)))
+        cell = seed if scenario.cell_seed is None else scenario.cell_seed
+        self._real_arm = ArmPlant(replace(scenario.robot, links=true_links(scenario.robot, cell)))
         self._servos = drives(scenario.robot, scenario.cycle_s, self._substeps)
-        self._links = link_side(scenario.robot, seed)
+        self._links = link_side(scenario.robot, cell)
         self._effector = EffectorPlant(scenario.effector, self._h)
         self._contact = ContactPlant(scenario.contact, scenario.effector)
         self._carried = self._new_carried(scenario)

@@ -3,6 +3,7 @@
 The whole service runs in virtual time, driven through the command protocol alone.
 """
 
+import math
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.harness.line import line_station
 from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.lab.shift import plan, shift
-from linemate.simulators.lab.shift.run import ShiftOutcome, run
+from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftRun, run
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
 
@@ -47,14 +48,14 @@ CARS = (
 GOOD = ("P1", "P5")
 
 
-def station(folder: Path) -> LineStation:
+def station(folder: Path, settings: str = STATION) -> LineStation:
     text = TASK.read_text().replace("start_position: 0.0", "start_position: 1.0")
     for name, height in HUBS.items():
         placed = text.replace(
             "nominal: {position: [2.20, 0.0, 1.10]", f"nominal: {{position: [2.20, 0.0, {height:g}]"
         )
         (folder / f"{name}.yaml").write_text(placed)
-    (folder / "station.yaml").write_text(STATION)
+    (folder / "station.yaml").write_text(settings)
     scenario = Scenario(
         name="shift",
         seed=1,
@@ -99,6 +100,23 @@ def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome)
     assert [times[name] for name in order] == sorted(times[name] for name in order)
     assert 0.0 < record["force"]["impact_n"] <= record["force"]["largest_n"]
     assert record["variant"] == "low"
+
+
+def test_a_good_car_corrects_the_camera_for_the_next_one(tmp_path: Path) -> None:
+    folder = tmp_path / "records"
+    folder.mkdir()
+    made = station(tmp_path, f"{STATION}learn_touches: true\n")
+    taught = ShiftRun(made, CARS[:2], TAKT_S, folder)
+    corrections: list[tuple[float, float]] = []
+
+    def note(_car: Car, _truth: CarTruth) -> None:
+        assert taught.app is not None
+        corrections.append(taught.app.cycle.parameters.tracker.settings.camera.felt)
+
+    taught._on_car = note
+    taught.run()
+    # The first one teaches after it has left, the second one fails.
+    assert 0.0 < math.hypot(*corrections[1]) < 1e-3
 
 
 def rows(**changes: object) -> dict[str, object]:

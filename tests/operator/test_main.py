@@ -205,6 +205,30 @@ def test_parameters_are_got_and_set(daemon: Daemon, capsys: Out) -> None:
     assert "/x" in capsys.readouterr().out
 
 
+def test_what_is_learned_is_shown_and_taken_back(
+    daemon: Daemon, capsys: Out, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = "tracking.camera.felt"
+    daemon.values[name] = daemon.defaults[name] = [0.0, 0.0]
+    listed = daemon.described
+
+    def described(prefix: str) -> list[dict[str, Any]]:
+        return [{**item, "file": daemon.defaults[item["name"]]} for item in listed(prefix)]
+
+    monkeypatch.setattr(daemon, "described", described)
+    daemon.values["approach.speed"] = 0.15  # an operator's, which is not learned
+    assert main(["learned", "show"]) == 0
+    assert capsys.readouterr().out == "nothing is learned\n"
+    daemon.values[name] = [0.0004, 0.0]
+    assert main(["learned", "show"]) == 0
+    assert capsys.readouterr().out.splitlines()[1].startswith(name)
+    assert main(["learned", "reset"]) == 0
+    assert daemon.values == {**daemon.defaults, "approach.speed": 0.15}
+    capsys.readouterr()
+    assert main(["learned", "show", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"version": 1, "params": []}
+
+
 @pytest.mark.parametrize("value", ["0.3", "NaN", "-Infinity"])
 def test_nonsense_is_not_set(daemon: Daemon, value: str) -> None:
     before = dict(daemon.values)

@@ -14,6 +14,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 # Wider than any measured value. Narrow enough that a covariance stays positive in 64 bits, whatever
 # is set while the filter runs.
 Length = Annotated[float, Ge(1e-5), Le(0.05)]
+Correction = Annotated[float, Ge(-0.003), Le(0.003)]
 Angle = Annotated[float, Ge(1e-5), Le(0.1)]
 Slope = Annotated[float, Ge(0.0), Le(0.1)]
 Walk = Annotated[float, Ge(1e-7), Le(0.01)]
@@ -70,6 +71,8 @@ class CameraNoise:
             which is estimated as the range changes [m/m]. 0: it has none.
         blind_below: distance from the tcp to the object below which it may give no poses [m]. The
             last waypoint before contact is moved out to 20 mm before it: there the tool waits.
+        felt: along x and y of the tcp, where the object is felt beyond where the camera shows it
+            [m]: an error of the hand-eye calibration that earlier touches have shown.
     """
 
     lateral: Length = 0.00025
@@ -83,6 +86,7 @@ class CameraNoise:
     stamp_offset: Annotated[float, Ge(0.0), Le(0.1)] = 0.01
     bias: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
     blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.06
+    felt: tuple[Correction, Correction] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

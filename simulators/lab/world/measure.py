@@ -11,7 +11,7 @@ import hashlib
 import json
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ class WorldJob:
     Attributes:
         kept: folder of finished runs.
         sources: digest of the sources that the run is made with.
+        learnt: cars before it, in the same cell, whose touches the daemon learns from.
     """
 
     row: str
@@ -46,13 +47,14 @@ class WorldJob:
     seed: int
     kept: Path
     sources: str
+    learnt: int = 0
 
 
 def main(args: Namespace) -> int:
     """Measure what the arguments say.
 
     Args:
-        args: world, rows, seeds, cycle_ms, overrides, workers, kept, json, list.
+        args: world, rows, seeds, cycle_ms, overrides, learnt, workers, kept, json, list.
 
     Returns:
         0 when every run was made; 1 with ``--check`` if one of them collided.
@@ -65,6 +67,7 @@ def main(args: Namespace) -> int:
         print("\n".join(f"{name:28s} {what(name)}" for name in names))
         return 0
     jobs = prepare(names, args.seeds, args.overrides, args.cycle_ms, args.kept)
+    jobs = [replace(job, learnt=args.learnt) for job in jobs]
     with progress_bar(len(jobs), "world") as progress:
         runs = spread(measured, jobs, args.workers or WORKERS, progress)
     whole = collect(runs)
@@ -130,7 +133,7 @@ def prepare(
 def measured(job: WorldJob) -> dict[str, Any]:
     """Return the figures of a run: those that are kept, or those of a new run."""
     mark = hashlib.blake2b(
-        f"{job.sources} {job.setup!r} {job.seed}".encode(), digest_size=12
+        f"{job.sources} {job.setup!r} {job.seed} {job.learnt}".encode(), digest_size=12
     ).hexdigest()
     path = job.kept / f"{job.row}-{job.seed}-{mark}.json"
     try:
@@ -150,8 +153,10 @@ def perform(job: WorldJob) -> dict[str, Any]:
     """Run one job and return its figures."""
     from linemate.simulators.harness import lockstep
     from linemate.simulators.judge.judge import judge
+    from linemate.simulators.lab.world.taught import taught
 
-    return {"row": job.row, **figures(judge(lockstep.run(job.setup, job.seed)))}
+    setup = taught(job.setup, job.seed, job.learnt)
+    return {"row": job.row, **figures(judge(lockstep.run(setup, job.seed)))}
 
 
 def figures(result: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import pytest
 
 from linemate.daemon.core.control.adaptation import AdaptationSettings
 from linemate.daemon.core.control.settings import ServoModel
-from linemate.daemon.cycle.learning import WORTH, Learner
+from linemate.daemon.cycle.learning.servos import WORTH, Learner
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep, setup
 

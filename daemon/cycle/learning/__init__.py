@@ -1,0 +1,1 @@
+"""Learning from whole motions; a change is made while the robot stands."""
