@@ -20,6 +20,7 @@ LENGTH, OVERLOAD, SPREAD, DT = 0.025, 350.0, 0.02, 0.012
     [
         ((5.0, -20.0, -90.0), -0.022, True),
         ((60.0, -30.0, -80.0), -0.022, False),  # a chamfer draws the bolts in
+        ((60.0, -30.0, -110.0), -0.022, True),  # too much for one
         ((0.0, 0.0, -40.0), -0.022, False),
         ((0.0, 0.0, 90.0), -0.022, False),
         ((0.0, 0.0, -90.0), -0.002, False),  # the face

@@ -25,6 +25,7 @@ from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
 TURNS = (0.0, 0.5, -0.5, 1.0, -1.0)  # angles that are tried, as shares of the bolts' range
 LAST = len(TURNS) - 1
 JAMMED_SHARE = 0.17  # of the overload, as force along the axis; the tool moves on for 0.2 s
+SURE_SHARE = 0.3  # more than a chamfer gives to a tool 1.5 mm off it
 ASIDE = 0.5  # share of it across the axis: less is friction, more is a chamfer
 DEEPEST = 0.4  # share of the bolts' length from the face, within which a force may be the face's
 TURN_S = 1.0  # time of a turn [s]
@@ -68,6 +69,8 @@ def is_jammed(force: Sequence[float], length: float, distance: float, overload: 
     if not -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE):
         return False
     x, y, z = force
+    if z < -SURE_SHARE * overload:
+        return True
     return z < -JAMMED_SHARE * overload and math.hypot(x, y) < -ASIDE * z
 
 
