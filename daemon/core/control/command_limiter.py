@@ -148,7 +148,7 @@ def _admit_free(state: LimiterState, desired: Array, limits: Limits) -> LimiterS
     middle, reach = limits.free
     values = (state.acceleration, acceleration, change, state.speed, state.position)
     # Written so that a NaN is not free.
-    if not (np.abs(np.concatenate(values) - middle) < reach).all():
+    if not np.logical_and.reduce(np.abs(np.concatenate(values) - middle) < reach):
         return None
     speed = state.speed + acceleration * period
     mean_speed = next_mean_speed(state, speed, period)

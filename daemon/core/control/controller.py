@@ -328,7 +328,7 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     command = np.add.reduce(taps * motors)
     commands = state.commands
     if commands is not None and len(commands):
-        recent = np.vstack((command, commands))
+        recent = np.concatenate((command[None], commands))
         command, commands = controller.spreading @ recent, recent[:-1]
     later = ControlState(
         past_poses=smoothed[1 : past + 1],

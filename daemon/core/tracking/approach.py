@@ -127,7 +127,7 @@ def known(
 
 def smoothstep(s: Array) -> Array:
     """Return the seventh-order step (m,) from 0 to 1: its first three derivatives end at 0."""
-    s = np.clip(s, 0.0, 1.0)
+    s = np.minimum(np.maximum(s, 0.0), 1.0)  # a third of the time of np.clip
     step: Array = s**4 * (35.0 + s * (-84.0 + s * (70.0 - 20.0 * s)))
     return step
 

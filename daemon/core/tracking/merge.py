@@ -218,7 +218,7 @@ def merge(old: Array, goal: Array, plan: MergePlan) -> Array:
     read = slice(commit - (ORDER - 1) * stride, commit + 1, stride)
     history = (merged[read] - goal[read])[::-1]  # (5, d)
     if matrices.shape[2] > ORDER:
-        history = np.vstack((old[commit + 2] - goal[commit + 1], history))
+        history = np.concatenate(((old[commit + 2] - goal[commit + 1])[None], history))
     # In order in memory the product costs a quarter less.
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     np.add(goal[commit + 1 :], late[:, :, 0].T, out=merged[commit + 1 :])

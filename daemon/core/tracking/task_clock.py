@@ -68,7 +68,8 @@ def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[fl
     now, ramp = state.time / T0, state.ramp
     is_ramped = ramp != clock_ramp.RUNNING or state.go.order is not GoOrder.GO
     if retreat or not is_ramped or not is_before_contact(state):
-        state = replace(state, time=last_step(state.time, T0) if ramp.planned else state.time)
+        if ramp.planned:
+            state = replace(state, time=last_step(state.time, T0))
         stand = standing_time(tracker, state, retreat)
         return min((round(state.time / T0) + 1) * T0, stand), clock_ramp.RUNNING
     low, high = _bounds(tracker, state)
@@ -131,8 +132,9 @@ def advance_clock(
         )
     if not state.started:
         return state
-    state = replace(state, oscillated=_oscillated(tracker, state, retreat))
-    time, ramp = _next_time(tracker, replace(state, passed=passed), retreat)
+    oscillated = _oscillated(tracker, state, retreat)
+    state = replace(state, oscillated=oscillated, passed=passed)
+    time, ramp = _next_time(tracker, state, retreat)
     blended = state.blended
     if blended is not None:
         blended += T0
@@ -142,7 +144,6 @@ def advance_clock(
     releasing = time >= tool.release_wheel
     return replace(
         state,
-        passed=passed,
         time=time,
         ramp=ramp,
         blended=blended,

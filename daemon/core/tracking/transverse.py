@@ -454,7 +454,7 @@ class Transverse:
         k = slice(self._camera, self._camera + CAMERA - 1)
         error = sensitivity.dot(self.believed(state).x[k])
         P = state.P[k, k] if state.errors is None else state.errors
-        spread = (sensitivity.dot(P) * sensitivity).sum(axis=1)
+        spread = np.add.reduce(sensitivity.dot(P) * sensitivity, axis=1)
         return PoseMeasurement(
             measured.position - error[:3],
             rotations.exp(-error[3:]).dot(measured.rotation),
