@@ -29,7 +29,7 @@ class Spawned:
     def __init__(
         self, command: Sequence[str], environment: Mapping[str, str], descriptor: int
     ) -> None:
-        """Start it.
+        """Start the process.
 
         Args:
             command: path of a program, and its arguments.

@@ -41,7 +41,7 @@ class StreamLink(RobotLink):
         name: str = "robot",
         backoff: Backoff | None = None,
     ) -> None:
-        """Open nothing yet.
+        """Prepare the link; ``open`` opens the socket.
 
         Args:
             target: the controller's numeric address and port.

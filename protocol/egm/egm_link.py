@@ -33,7 +33,7 @@ class EgmLink:
     def __init__(
         self, codec: EgmCodec, cycle_s: float, *, on_rail: bool = False, signals: bool = True
     ) -> None:
-        """Keep what the replies need.
+        """Keep the codec and the settings of the replies.
 
         Args:
             cycle_s: period of the controller [s].
@@ -136,7 +136,7 @@ class ExpectedMessage:
     __slots__ = ("_counter", "_joints", "_link", "_reach")
 
     def __init__(self, link: EgmLink, counter: int, joints: Vector6, reach: float) -> None:
-        """Keep what it must be.
+        """Keep the expected values.
 
         Args:
             joints: the last measured joints [rad].

@@ -62,7 +62,7 @@ class GuidedRobot(RobotPlant):
         signs: Seven = FORWARD,
         corrected: Seven = FORWARD,
     ) -> None:
-        """Stand ready.
+        """Begin at rest.
 
         Args:
             signs: 1, or -1 for an axis that the controller counts the other way.

@@ -98,7 +98,7 @@ class LimitJudge:
     def __init__(
         self, cycle_s: float, limits: tuple[AxisLimit, ...] = LIMITS, keep: int = 32
     ) -> None:
-        """Know nothing of the robot yet.
+        """Begin before the first setpoint.
 
         Args:
             cycle_s: the controller's cycle [s].

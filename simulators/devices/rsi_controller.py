@@ -180,7 +180,7 @@ class RsiController:
         setpoints: Seven,
         config: ControllerConfig | None = None,
     ) -> None:
-        """Stand ready before the first cycle.
+        """Begin before the first cycle.
 
         Args:
             read: gives the robot's state at a cycle's start.

@@ -289,7 +289,7 @@ class SensorLinks:
         mount: float,
         cell: "SensorEnds | None" = None,
     ) -> None:
-        """Plug everything in; the force-torque sensor has been talked to and streams.
+        """Connect all sensors; the force-torque sensor has had its dialogue and streams.
 
         Args:
             mount: what the distance sensor reads when the conveyor unit is at s = 0 [m].

@@ -36,7 +36,7 @@ class UnknownVariantError(SetupError):
     """
 
     def __init__(self, name: str) -> None:
-        """Name those that there are."""
+        """Keep the message, with the known variants."""
         super().__init__(f"no variant {name!r}; there are {', '.join(known())}")
         self.name = name
 

@@ -41,7 +41,7 @@ class Oracle:
     """True future of the hub for the tracker; called as a ``tracker.Foresight``."""
 
     def __init__(self, world: World, nominal: Array, cycle_s: float) -> None:
-        """Look at the whole run.
+        """Tabulate the hub over the whole run.
 
         Args:
             world: of the run, at its beginning.

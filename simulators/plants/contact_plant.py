@@ -56,7 +56,7 @@ class ContactPlant:
     """What tool and hub do to each other."""
 
     def __init__(self, contact: Contact, effector: Effector | None = None) -> None:
-        """Take what mates.
+        """Keep the parts that mate.
 
         Args:
             effector: the mount; without it the contact has no forces of bolts and flange.

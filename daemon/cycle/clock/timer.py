@@ -29,7 +29,7 @@ class TimerFd:
     """One timerfd on the monotonic clock; os.timerfd_create where Python has it."""
 
     def __init__(self) -> None:
-        """Create it, disarmed.
+        """Create the timer, disarmed.
 
         Raises:
             OSError: no descriptor is left.

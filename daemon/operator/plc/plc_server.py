@@ -58,7 +58,7 @@ class PlcUserManager(UserManager):  # type: ignore[misc]
     """Maps a name and a password to a role: operate is asyncua's admin, view its user."""
 
     def __init__(self, users: Mapping[str, PlcUser]) -> None:
-        """Know the users by name."""
+        """Keep the users by name."""
         self._users = users
 
     def get_user(
@@ -101,7 +101,7 @@ class PlcServer:
     """
 
     def __init__(self, endpoint: str, users: Mapping[str, PlcUser], connect: Callable[[], Client]):
-        """Open no port yet.
+        """Prepare the server; ``run`` opens the port.
 
         Args:
             endpoint: URL to serve at, such as ``opc.tcp://127.0.0.1:4840/linemate``.

@@ -25,7 +25,7 @@ class RoboticsNodes:
     """The nodes of one daemon."""
 
     def __init__(self) -> None:
-        """Know no node yet."""
+        """Begin without nodes."""
         self._variables: dict[str, Any] = {}
         self._axes: list[Any] = []
         self._written = RoboticsValues()

@@ -34,7 +34,7 @@ class RecordFiles:
     """
 
     def __init__(self, directory: Path | None, days: int) -> None:
-        """Write nothing yet.
+        """Begin without records.
 
         Args:
             directory: None keeps no records.

@@ -108,7 +108,7 @@ class EgmController:
         setpoints: Seven,
         config: EgmConfig | None = None,
     ) -> None:
-        """Stand ready before the first cycle.
+        """Begin before the first cycle.
 
         Args:
             read: gives the robot's state at a cycle's start.

@@ -60,7 +60,7 @@ class Guidance:
     """
 
     def __init__(self, config: GuidanceConfig, cycle_s: float, start: Axes) -> None:
-        """Stand at rest.
+        """Begin at rest.
 
         Args:
             cycle_s: period of the exchange [s].

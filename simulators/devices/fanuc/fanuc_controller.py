@@ -116,7 +116,7 @@ class FanucController:
         setpoints: Seven,
         config: FanucConfig | None = None,
     ) -> None:
-        """Stand ready before the first packet.
+        """Begin before the first packet.
 
         Args:
             read: gives the robot's state at a cycle's start.

@@ -29,7 +29,7 @@ class SetpointGate:
     def __init__(
         self, position: Sequence[float], limits: Sequence[AxisLimit], cycle_s: float
     ) -> None:
-        """Stand at a position."""
+        """Begin at rest at a position."""
         self.position = tuple(position)
         self.speed = self.acceleration = (0.0,) * len(self.position)
         self._limits = tuple(limits)

@@ -31,7 +31,7 @@ class TcpPort:
     """
 
     def __init__(self, on_data: Callable[[bytes], None], bind: Address) -> None:
-        """Know where to listen.
+        """Keep the address to listen on.
 
         Args:
             on_data: gets what the other end wrote.

@@ -17,7 +17,7 @@ FIRST_DESCRIPTOR = 900  # no real file of a process of ours has it, and select c
 
 
 class DeadlockError(RuntimeError):
-    """Everybody waits and nothing is to come."""
+    """All tasks wait and no event is to come."""
 
 
 class DatagramReceiver(Protocol):

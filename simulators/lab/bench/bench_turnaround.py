@@ -71,7 +71,7 @@ class Bench:
     cpus: tuple[int, ...]
 
     def place(self, name: str) -> Place:
-        """Where a process runs: the player on one core, everything else on another."""
+        """Return where a process runs: the player on one core, all else on another."""
         cpu = self.cpus[0] if name == "player" else self.cpus[-1]
         return Place(cpu, PRIORITIES[name] if self.fifo else None)
 

@@ -50,7 +50,7 @@ class FaultOracle:
     """
 
     def __init__(self, cycle_s: float, braking: tuple[float, ...]) -> None:
-        """Have seen nothing.
+        """Begin before the first cycle.
 
         Args:
             cycle_s: of the controller [s].

@@ -25,7 +25,7 @@ class CommandWire:
     """Clients of one daemon's command server, one a key."""
 
     def __init__(self) -> None:
-        """Have no session yet."""
+        """Begin without a session."""
         self._app: App | None = None
         self._clients: dict[str, CommandClient] = {}
         self._sessions = 0

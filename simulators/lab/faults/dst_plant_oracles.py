@@ -124,7 +124,7 @@ class PlantOracle:
         *,
         has_rail: bool = True,
     ) -> None:
-        """Have seen nothing.
+        """Begin before the first cycle.
 
         Args:
             emitters: the sensors' ends of the links.

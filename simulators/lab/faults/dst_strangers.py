@@ -36,7 +36,7 @@ class Strangers:
     """
 
     def __init__(self, rsi: RsiConfig, pose: Vector7, cycle_s: float, ipoc_step: int) -> None:
-        """Send nothing yet.
+        """Begin without datagrams.
 
         Args:
             rsi: the site's RSI configuration.

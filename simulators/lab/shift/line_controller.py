@@ -25,7 +25,7 @@ class LineController:
     """
 
     def __init__(self) -> None:
-        """Know no session yet."""
+        """Begin without a session."""
         self.refusals: list[str] = []
         self.acknowledged = 0
         self.orders: dict[str, int] = {}

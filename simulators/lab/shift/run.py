@@ -123,7 +123,7 @@ class ShiftRun:
         on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
         longest_s: float = math.inf,
     ) -> None:
-        """Stand ready before the first cycle.
+        """Begin before the first cycle.
 
         Args:
             takt_s: from one car to the next at least [s].

@@ -189,7 +189,7 @@ class ChainErrors:
         starts: Sequence[tuple[float, float]],
         phase: float,
     ) -> None:
-        """Prepare the laws.
+        """Prepare polygon effect and stick-slip.
 
         Args:
             starts: onset of each start [s] and the drive's position there [m].

@@ -35,7 +35,7 @@ class CarriedBody:
         contact: ContactPlant,
         effector: EffectorPlant,
     ) -> None:
-        """Take the parts of a world.
+        """Keep the parts of a world.
 
         Args:
             speeds: of the conveyor at ascending scenario times, (n,) [m/s].
