@@ -1,7 +1,7 @@
 """Search for the angle of bolts: a tool whose bolts do not enter tries again, turned.
 
 The camera sees the object, but hardly its bolts' angle about its axis. Bolts that meet the face
-between their holes stop the tool, and no force tells to which side they have to turn. So the tool
+between their holes stop the tool, and no force shows to which side they have to turn. So the tool
 backs off, turns about its axis, and comes again.
 
 Invariants:
@@ -64,7 +64,7 @@ def is_jammed(force: Sequence[float], length: float, distance: float, overload: 
         force: of the contact on the tool, in its axes [N].
         length: of the bolts from the face [m]; 0 for none.
         distance: programmed, from the tcp to the object along its z [m].
-        overload: force that the tool bears [N].
+        overload: limit of the force on the tool [N].
     """
     if not -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE):
         return False
@@ -114,6 +114,6 @@ def turned(target: Array, search: BoltSearch, span: Array) -> Array:
 
 
 def unturned(rotation: Array, search: BoltSearch) -> Array:
-    """Return the object's orientation (3, 3) that a turned tool feels with its own."""
+    """Return the object's orientation (3, 3) that a turned tool measures with its own."""
     back: Array = rotation @ rotations.exp(np.array((0.0, 0.0, -search.angle)))
     return back
