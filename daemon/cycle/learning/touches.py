@@ -1,7 +1,7 @@
 """Learning over assemblies: where the object is felt beyond where the camera shows it.
 
-A hand-eye calibration has an error that no sensor sees before the touch. A clamped tool measures the
-object, and the camera's place of it is known from just before. Their difference across the tool's
+A hand-eye calibration has an error that no sensor sees before the touch. A clamped tool measures
+the object, and the camera's place of it is known from just before. Their difference across the tool's
 axis is what the next assembly is corrected by (``tracking.camera.felt``).
 
 Invariants:
