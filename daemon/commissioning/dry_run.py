@@ -1,4 +1,4 @@
-"""Errors of a run next to the line without contact: of the control, and of the prediction.
+"""Errors of runs next to the line without contact: of the control, and of the prediction.
 
 Invariants:
 - Pure. The control error is what the arm lacks to its target of the time at which it was measured.
@@ -25,16 +25,15 @@ SEEN_LIMIT = 0.004  # of the estimated object against images [m]
 LEAST = 50
 
 
-def find_errors(steps: Sequence[StepRecord], cell: RecordedCell) -> list[ReportLine]:
-    """Return control error and prediction error of a run, or why it shows none."""
-    refusal = _unfit(steps)
-    if refusal is not None:
-        return [ReportLine("dry run", "mm", 1e3, refusal)]
-    followed = [step for step in steps if _is_approach(step)]
-    begin = followed[0].inputs.stamp_ns + round(SETTLED_S * 1e9)
-    settled = [step for step in followed if step.inputs.stamp_ns >= begin]
-    control = _control(settled, cell)
-    seen = _seen(steps, settled, cell)
+def find_errors(runs: Sequence[Sequence[StepRecord]], cell: RecordedCell) -> list[ReportLine]:
+    """Return control error and prediction error of all runs, or why they show none."""
+    for steps in runs:
+        refusal = _unfit(steps)
+        if refusal is not None:
+            return [ReportLine("dry run", "mm", 1e3, refusal)]
+    settled = [_settled(steps) for steps in runs]
+    control = np.concatenate([_control(steps, cell) for steps in settled])
+    seen = np.concatenate([_seen(*each, cell) for each in zip(runs, settled, strict=True)])
     return [
         ReportLine("control error, 95 %", "mm", 1e3, _judged(control, CONTROL_LIMIT)),
         ReportLine("object estimated against images, 95 %", "mm", 1e3, _judged(seen, SEEN_LIMIT)),
@@ -53,9 +52,17 @@ def _is_approach(step: StepRecord) -> bool:
     return step.state == TRACKED and step.outputs["phase"] == Phase.APPROACH
 
 
+def _settled(steps: Sequence[StepRecord]) -> list[StepRecord]:
+    followed = [step for step in steps if _is_approach(step)]
+    begin = followed[0].inputs.stamp_ns + round(SETTLED_S * 1e9)
+    return [step for step in followed if step.inputs.stamp_ns >= begin]
+
+
 def _judged(errors: Array, limit: float) -> Outcome:
     if len(errors) < LEAST:
-        return Refusal(f"{len(errors)} values in the approach, at least {LEAST} are needed")
+        return Refusal(
+            f"{len(errors)} values in the approach, at least {LEAST} are needed. Record more runs"
+        )
     high = float(np.percentile(errors, 95))
     largest = float(errors.max())
     if high > limit:

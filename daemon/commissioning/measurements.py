@@ -30,6 +30,7 @@ from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import PoseFile
 from linemate.daemon.identification import pipeline
+from linemate.daemon.identification.noise import distance_noise
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.pipeline import IdentifyError, Recorded
 from linemate.daemon.identification.stops import conveyor_ramps
@@ -38,7 +39,7 @@ from linemate.protocol.stamped_samples import Vector3
 
 LEAST_STOPS = 3
 _PARTS = (slice(0, 3), slice(3, 6))  # of a pose: position, rotation
-SERVO_LINES = ("servo ", "windup ", "effector ", "distance ", "force noise", "torque noise")
+SERVO_LINES = ("servo ", "windup ", "effector ", "force noise", "torque noise")
 OBJECT_LINES = ("swing ", "sway", "camera noise", "camera angle", "camera depth", "camera outliers")
 
 
@@ -247,7 +248,7 @@ def _sensor_lines(mount: SensorMount, place: Array, *, stated: bool) -> list[Rep
     return [*lines, ReportLine("sensor distance from the tcp", "mm", 1e3, where, True)]
 
 
-def _conveyor(data: _Data, _: StatedFacts) -> Measurement:
+def _conveyor(data: _Data, _stated: StatedFacts) -> Measurement:
     task, delay = data.cell.task, data.tracking.distance.delay
     outcomes = [
         find_frame(
@@ -282,7 +283,11 @@ def _conveyor(data: _Data, _: StatedFacts) -> Measurement:
                "conveyor start acceleration": "acceleration"}.get(line.name)  # fmt: skip
         if key is not None and line.in_overlay and isinstance(line.outcome, Estimate):
             settings[key] = round(line.outcome.value, 5)
-    overlay = {} if refused else {"task": {"conveyor": settings}}
+    overlay: dict[str, Any] = {} if refused else {"task": {"conveyor": settings}}
+    noise, _, _ = distance_noise([_trace(data, each).distances for each in data.recordings])
+    lines.append(ReportLine("distance noise", "mm", 1e3, noise, in_overlay=True))
+    if overlay and isinstance(noise, Estimate):
+        overlay["tracking"] = {"distance": {"deviation": float(f"{noise.value:.6g}")}}
     return Measurement(tuple(lines), overlay, refused)
 
 
@@ -364,8 +369,10 @@ def _servos(data: _Data, _: StatedFacts) -> Measurement:
 
 def _servo_overlay(overlay: Mapping[str, Any]) -> dict[str, Any]:
     tracking = overlay.get("tracking", {})
-    noise = {name: tracking[name] for name in ("distance", "tactile") if name in tracking}
-    return {**({"tracking": noise} if noise else {}), **_only(overlay, "control")}
+    return {
+        **({"tracking": _only(tracking, "tactile")} if "tactile" in tracking else {}),
+        **_only(overlay, "control"),
+    }
 
 
 def _object(data: _Data, _: StatedFacts) -> Measurement:
@@ -399,9 +406,7 @@ def _identified(
 
 
 def _dry_run(data: _Data, _: StatedFacts) -> Measurement:
-    lines: list[ReportLine] = []
-    for recorded in data.recordings:
-        lines += dry_run.find_errors(recorded.steps, data.cell)
+    lines = dry_run.find_errors([recorded.steps for recorded in data.recordings], data.cell)
     refused = [x.outcome.reason for x in lines if isinstance(x.outcome, Refusal)]
     return Measurement(tuple(lines), {}, refused[0] if refused else None)
 

@@ -22,6 +22,7 @@ from linemate.daemon.identification.trace import Trace
 DISTANCE_WINDOW = 0.3  # the conveyor's motion within it is a parabola [s]
 WRENCH_WINDOW = 0.06  # the tool's oscillation within it is a cubic [s]
 LEAST = 100
+LEAST_VALUES = 5  # different readings, below which the resolution is not seen
 MOVING = 5.0  # steps of the resolution within a window
 GATE = 5.0
 DECIMALS = 7  # used digits of a reading [m]
@@ -95,7 +96,14 @@ def distance_noise(recordings: Sequence[Array]) -> tuple[Outcome, Outcome, Outco
         return refusal, refusal, refusal
     wild = [find_outliers(readings[:, 1]) for readings in long]
     total = sum(len(readings) for readings in long)
-    step = _resolution(np.concatenate([readings[:, 1] for readings in long]))
+    distinct = np.unique(np.round(np.concatenate([r[:, 1] for r in long]), DECIMALS))
+    if len(distinct) < LEAST_VALUES:
+        hidden = Refusal(
+            f"{len(distinct)} different values in {total} readings: "
+            "noise hides below the resolution. Let the conveyor move"
+        )
+        return hidden, hidden, hidden
+    step = _resolution(distinct)
     deviation = _distance_deviation([r[~out] for r, out in zip(long, wild, strict=True)], step)
     count = sum(int(out.sum()) for out in wild)
     outliers = Estimate(
@@ -129,11 +137,8 @@ def _distance_deviation(clean: Sequence[Array], step: float | None) -> Outcome:
     return Estimate(deviation, deviation / math.sqrt(2.0 * len(e)), f"{len(e)} readings{basis}")
 
 
-def _resolution(values: Array) -> float | None:
-    """Return the step of which all differences of readings are multiples, None without one."""
-    distinct = np.unique(np.round(values, DECIMALS))
-    if len(distinct) < 5:
-        return None
+def _resolution(distinct: Array) -> float | None:
+    """Return the step of which all differences of ascending readings are multiples, or None."""
     step = float(np.diff(distinct).min())
     off = (distinct - distinct[0]) / step
     if step < 30.0 * 10.0**-DECIMALS or float(np.abs(off - np.round(off)).max()) > 0.1:

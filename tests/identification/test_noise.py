@@ -52,6 +52,13 @@ def test_a_coarse_sensor_at_rest_hides_its_noise() -> None:
     assert estimate(resolution).value == pytest.approx(1e-3)
 
 
+def test_a_coarse_sensor_that_repeats_two_values_is_no_precise_one() -> None:
+    """A line at rest: taken for noise of 0.1 mm, it made the daemon see stops that were none."""
+    for outcome in distance_noise([readings(0.0, 0.2e-3, 1e-3)]):
+        assert isinstance(outcome, Refusal)
+        assert "noise hides below the resolution. Let the conveyor move" in outcome.reason
+
+
 def test_a_handful_of_readings_is_refused() -> None:
     for outcome in distance_noise([readings(0.1, 1e-4, 1e-3)[:50]]):
         assert isinstance(outcome, Refusal)

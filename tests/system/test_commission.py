@@ -4,6 +4,7 @@ The controller's own programme moves the robot, the daemon listens. Recordings g
 command line. What it writes is compared with the scenario, which the daemon never sees.
 """
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -190,6 +191,10 @@ def test_a_conveyor_that_runs_10_mrad_off_is_found(site: Path) -> None:
     assert float(np.linalg.norm(np.array(found["axis"]) - truth)) < 1e-3
     assert found["nominal_speed"] == pytest.approx(0.106, abs=5e-4)
     assert found["deceleration"] == pytest.approx(0.104, rel=0.05)
+    sensor = scenario.distance
+    noise = math.hypot(sensor.sigma, sensor.quantisation / math.sqrt(12.0))
+    distance = overlay(site, "conveyor")["tracking"]["distance"]
+    assert distance["deviation"] == pytest.approx(noise, rel=0.1)
     (site / "linemated.yaml").write_text("task: wheel.yaml\noverlays: [commission/conveyor.yaml]\n")
     task = config.load(site / "linemated.yaml").task.file
     along = rotations.matrix(task.object.nominal.quaternion)[:, 1]
