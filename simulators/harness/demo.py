@@ -266,7 +266,7 @@ def main(args: Namespace) -> int:
     if cycle_ms not in families.CYCLES_MS[controller]:
         known = " or ".join(f"{ms:g}" for ms in families.CYCLES_MS[controller])
         raise SetupError(f"--cycle-ms {cycle_ms:g}: {controller} has {known}")
-    name, task = cell_files.scenario(args.scenario, cell), None if cell is None else cell.task
+    name, task = cell_files.scenario(args.scenario, cell), None if cell is None else cell.nominal
     plain = scenario_file.load(name, task)
     scenario = families.truth(controller, plain)
     scenario = replace(scenario, seed=args.seed, cycle_s=round(cycle_ms * 1e-3, 9))

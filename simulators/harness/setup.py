@@ -116,7 +116,7 @@ def make(
     Raises:
         FileError, OverrideError, UnknownVariantError: what is wrong.
     """
-    truth = scenario_file.load(scenario, None if cell is None else cell.task)
+    truth = scenario_file.load(scenario, None if cell is None else cell.nominal)
     controller, cycle_ms = exchange(cell, controller, cycle_ms)
     if cycle_ms is not None:
         truth = replace(truth, cycle_s=round(cycle_ms * 1e-3, 9))

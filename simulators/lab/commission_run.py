@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 import yaml
 
+from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.inputs import Inputs
+from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import Outputs
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.cycle import Cycle
@@ -32,19 +34,21 @@ from linemate.simulators.devices.guided_robot import FORWARD, GuidedRobot, Postu
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.devices.worlds import build_world
-from linemate.simulators.harness import families
+from linemate.simulators.harness.cell import cell_links, cell_truth
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
-from linemate.simulators.plants.scenario import Scenario
+from linemate.simulators.plants.scenario import Robot, Scenario
 from linemate.simulators.plants.scenario_draw import sample
 
-START: Seven = (0.0, -1.6233553393476978, 1.848973829348316, 0.0, 1.3451778367942788, 0.0, 0.0)
 LEAD_IN_S = 1.0
+TO_LIMIT = 0.05  # of a posture to the ends of the axes [rad]
+STANDOFF = 0.4  # from the first pose to the object, for which the postures were chosen [m]
 TILT = 0.35  # of the tool in postures before the object [rad]
 SEED = 5200
+LINEAR = 6  # index of the linear axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,22 +69,37 @@ class CommissioningRun:
     cycle_ms: float = 12.0
 
 
-def resting_scenario() -> Scenario:
-    """Return a cell with a part that stands still in front of the robot, without sway."""
-    plain = Scenario()
+def resting_scenario(cell: Scenario | None = None) -> Scenario:
+    """Return a cell with a part that stands still in front of the robot, without sway.
+
+    Args:
+        cell: truth of the cell; None: of the shipped one.
+    """
+    plain = cell or Scenario(robot=Robot(start=rest_of(shipped_task())))
     return replace(
         plain,
         name="postures",
         lead_in_s=LEAD_IN_S,
         duration_s=1.0,
-        robot=replace(plain.robot, start=START),
         conveyor=replace(plain.conveyor, events=(ConveyorEvent("stop", -LEAD_IN_S + 0.01, 2.0),)),
         body=replace(plain.body, swings=(), offset=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0)),
     )
 
 
-def looking_postures(count: int = 18, tilt: float = TILT) -> list[Seven]:
-    """Return postures before the object that turn the tool about all axes."""
+def rest_of(task: Task) -> Seven:
+    """Return the axes at the task's first pose, A1..A6 [rad], E1 [m]."""
+    return seven((*task.file.arm.rest_joints, 0.0))
+
+
+def looking_postures(count: int = 18, tilt: float = TILT, task: Task | None = None) -> list[Seven]:
+    """Return postures before the object that turn the tool about all axes.
+
+    Args:
+        task: of the cell; None: the shipped one.
+    """
+    task = task or shipped_task()
+    first, nominal = task.file.waypoints[0].pose.position, task.file.object.nominal.position
+    scale = round(math.dist(first, nominal) / STANDOFF, 9)
     turns = [
         (tilt * math.cos(2.4 * i), tilt * math.sin(2.4 * i), tilt * math.sin(1.1 * i + 0.3))
         for i in range(count)
@@ -89,11 +108,17 @@ def looking_postures(count: int = 18, tilt: float = TILT) -> list[Seven]:
         (0.10 * math.sin(1.7 * i), 0.12 * math.cos(1.3 * i), -0.45 - 0.15 * math.cos(0.9 * i))
         for i in range(count)
     ]
-    return _solved([np.array((*p, *r)) for p, r in zip(places, turns, strict=True)])
+    poses = [np.array((*p, *r)) for p, r in zip(np.multiply(scale, places), turns, strict=True)]
+    return _solved(poses, task)
 
 
-def weighing_postures() -> list[Seven]:
-    """Return postures in which gravity comes from all sides of the tool."""
+def weighing_postures(task: Task | None = None) -> list[Seven]:
+    """Return postures in which gravity comes from all sides of the tool.
+
+    Args:
+        task: of the cell; None: the shipped one.
+    """
+    task = task or shipped_task()
     shifts = (
         (0.0, 0.0, 0.0),
         (0.0, 0.9, 0.0),
@@ -106,28 +131,33 @@ def weighing_postures() -> list[Seven]:
         (0.6, 0.6, -1.2),
         (-0.6, -1.4, 1.2),
     )
-    a1, a2, a3, a4, a5, a6, e1 = START
-    return [seven((a1, a2, a3, a4 + d4, a5 + d5, a6 + d6, e1)) for d4, d5, d6 in shifts]
+    limits = cell_truth.axis_limits(task.urdf, task.file)
+    lowest = np.array([limit.low + TO_LIMIT for limit in limits])
+    highest = np.array([limit.high - TO_LIMIT for limit in limits])
+    moves = np.array([(0.0, 0.0, 0.0, *shift, 0.0) for shift in shifts])
+    moved = np.clip(np.array(rest_of(task)) + moves, lowest, highest)
+    moved[:, LINEAR] = rest_of(task)[LINEAR]
+    return [seven(tuple(row)) for row in moved.tolist()]
 
 
-def _solved(poses: Sequence[Any]) -> list[Seven]:
+def _solved(poses: Sequence[Any], task: Task) -> list[Seven]:
     """Return the joints for poses (6,) of the tcp about the nominal object."""
-    task = shipped_task()
     file, tool = task.file, task.file.arm.tcp_in_flange
     arm = kinematics.load(
         task.urdf,
         file.arm.flange,
         np.array(tool.position),
         rotations.matrix(tool.quaternion),
-        linear_axis=True,
+        linear_axis=file.arm.linear_axis,
     )
     nominal = file.object.nominal
     turn, place = rotations.matrix(nominal.quaternion), np.array(nominal.position)
-    joints, rows = np.array(START), []
+    rest = rest_of(task)
+    joints, rows = np.array(rest[: len(arm.lower)]), []
     for pose in poses:
         target = turn @ rotations.exp(pose[3:])
         joints = arm.solve(joints, place + turn @ pose[:3], target, tolerance=1e-6)
-        rows.append(seven(tuple(joints.tolist())))
+        rows.append(seven((*joints.tolist(), *rest[len(joints) :])))
     return rows
 
 
@@ -146,9 +176,7 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
         setup: settings of the daemon, and the truth.
     """
     station = _GuidedStation(setup, plan, seed)
-    cycle_s = station.scenario.cycle_s
-    compiled = parameters(setup.task, setup.urdf, setup.tracking, setup.control, cycle_s)
-    cycle = Cycle(compiled, station.link)
+    cycle = Cycle(_compiled(replace(setup, scenario=station.scenario)), station.link)
     cycle.listen(0)
     path.parent.mkdir(parents=True, exist_ok=True)
     file = StepFile(path.open("wb"), metadata_of(texts(setup)))
@@ -172,6 +200,11 @@ def record(setup: Setup, plan: CommissioningRun, path: Path, seed: int = SEED) -
     finally:
         file.close()
     return path
+
+
+def _compiled(setup: Setup) -> Parameters:
+    cycle_s = setup.scenario.cycle_s
+    return parameters(setup.task, setup.urdf, setup.tracking, setup.control, cycle_s)
 
 
 def write(setup: Setup, inputs: Sequence[Inputs], path: Path) -> Path:
@@ -256,15 +289,17 @@ class _GuidedStation:
         self.scenario = sample(seed, truth)
         self._world = build_world(setup.world, self.scenario, setup.mujoco)
         self._robot = GuidedRobot(self._world, plan.programme, plan.signs, plan.corrected)
-        self._controller, self.link = families.pair(
-            setup.controller, self._robot, cycle_s, on_rail=True
-        )
+        setup = replace(setup, scenario=self.scenario)
+        self._controller, self.link = cell_links.pair(setup, self._robot, _compiled(setup))
+        self._ends = cell_links.of(setup.station)
         self._mount = setup.task.conveyor.start_position
 
     def run(self, receiver: Cycle | Listener, after: Callable[[], None] = lambda: None) -> None:
         """Exchange telegrams to the end, with a call after each."""
         world, controller = self._world, self._controller
-        links = SensorLinks(world, receiver, Faults(self.scenario.faults, {}), self._mount)
+        links = SensorLinks(
+            world, receiver, Faults(self.scenario.faults, {}), self._mount, self._ends
+        )
         while world.time_s < self.scenario.duration_s:
             links.carry()
             data = controller.telegram()

@@ -135,11 +135,11 @@ def _cell(plan: IdentificationPlan) -> CellFiles | None:
 def _truth(name: str, cell: CellFiles | None) -> Scenario:
     """Return a scenario; in a cell of its own, the exercise has the cell's plant."""
     if cell is None or cell.scenario is None:
-        return scenario_file.load(name, None if cell is None else cell.task)
-    own = scenario_file.load(cell.scenario, cell.task)
+        return scenario_file.load(name, None if cell is None else cell.nominal)
+    own = scenario_file.load(cell.scenario, cell.nominal)
     if name != EXERCISE_SCENARIO:
         return own
-    order = scenario_file.load(name, cell.task)
+    order = scenario_file.load(name, cell.nominal)
     conveyor = replace(own.conveyor, events=order.conveyor.events)
     return replace(own, conveyor=conveyor, lead_in_s=order.lead_in_s, duration_s=order.duration_s)
 

@@ -9,8 +9,9 @@ from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from linemate.daemon.config import config, task_file
+from linemate.daemon.config import config, files, task_file
 from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.settings import ControllerKind
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.near_names import near_names
@@ -36,6 +37,13 @@ class CellFiles:
     station: LoadedConfig | None = None
     scenario: str | None = None
     task_path: Path | None = None
+
+    @property
+    def nominal(self) -> Task:
+        """The task file without overlays: where a scenario is silent, the truth is as this says."""
+        if self.station is None or self.task_path is not None:
+            return self.task
+        return written_task(self.station, self.station.config.task)
 
     @property
     def family(self) -> str | None:
@@ -91,6 +99,15 @@ def chosen(args: Namespace) -> CellFiles | None:
 def scenario(named: str | None, cell: CellFiles | None) -> str:
     """Return the scenario of a run: the one named, else the cell's, else the default."""
     return named or (None if cell is None else cell.scenario) or DEFAULT_SCENARIO
+
+
+def written_task(station: LoadedConfig, name: str) -> Task:
+    """Return a task file that a configuration names, without the overlays.
+
+    Raises:
+        FileError: what is wrong in it.
+    """
+    return task_file.load(files.find(name, station.path.parent, DAEMON_DATA))
 
 
 def folder(name: str) -> Path:

@@ -57,9 +57,12 @@ class LineStation:
 
     @property
     def hubs(self) -> dict[str, Vector3]:
-        """Nominal place of each variant in base [m]."""
-        tasks = self.files.variants.items()
-        return {name: task.file.object.nominal.position for name, task in tasks}
+        """True nominal place of each variant in base [m], whatever overlays say."""
+        tasks = {
+            name: cell_files.written_task(self.files, file)
+            for name, file in self.production.variants.items()
+        }
+        return {name: task.file.object.nominal.position for name, task in tasks.items()}
 
     @property
     def entry_s(self) -> float:
@@ -125,7 +128,7 @@ def station(cell: str | None = None) -> LineStation:
         raise SetupError(f"{file}: car after car is emulated behind RSI alone")
     truth = folder / cell_files.SCENARIO
     name = str(truth) if truth.is_file() else scenario_file.DEFAULT
-    scenario = scenario_file.load(name, loaded.task)
+    scenario = scenario_file.load(name, CellFiles(loaded.task, loaded).nominal)
     return LineStation(loaded, replace(scenario, cycle_s=loaded.cycle_s))
 
 
