@@ -10,9 +10,13 @@ from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.core.parameters import build
 from linemate.daemon.core.tracking.task import TaskFile
+from linemate.simulators.devices.line.cars import Car, CarFault
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.line import line_station
 from linemate.simulators.judge.judge import judge
+from linemate.simulators.lab.shift import shift
+from linemate.simulators.lab.shift.run import run
 
 CELL = cell_files.named("kr10")
 
@@ -71,3 +75,17 @@ def test_a_controller_file_without_an_axis_is_refused_by_name(tmp_path: Path) ->
         (tmp_path / file.name).write_text("\n".join(kept))
     with pytest.raises(FileError, match=r"rsi\.config: the task's arm needs RECEIVE AK\.A6"):
         cell_files.named(str(tmp_path))
+
+
+def test_car_after_car_comes_by_the_stations_file() -> None:
+    """70 s of virtual time: a part whose line stops, and one that the camera loses."""
+    station = line_station.station("kr10")
+    cars = (
+        Car("P1", "van", 11, station.stop(3.0, 2.0)),
+        Car("P2", "estate", 12, fault=CarFault.CAMERA_COVERED, fault_s=1.5),
+    )
+    outcome = run(station, cars, 32.0)
+    result = shift.judge([outcome], 1)
+    assert result["good"], result
+    assert [row["mounted"] for row in result["cars"]] == [True, False]
+    assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
