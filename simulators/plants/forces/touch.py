@@ -27,6 +27,9 @@ MICRO_S = 0.0002
 """Longest step while something may touch [s]; the stiffest contact has a period of 20 ms."""
 
 _NOTHING = np.zeros(6)
+_SURE = 1e-9
+"""Distance at which rounding errors make no contact [m]."""
+
 _RIM_POINTS = 8
 _SLIDING = 1e-3
 """Friction is proportional to the speed below this [m/s]."""
@@ -142,8 +145,10 @@ class Touch:
         moved, speed = np.zeros(6), np.zeros(6)
         total, lasting = np.zeros(6), np.zeros(6)
         give_way, expected = h * self.give_way(), self.expected
-        seen = axes.T @ drift
-        for k in range(count):
+        seen, begun = axes.T @ drift, 0
+        if not expected.any():
+            begun, d, w = self._swing((first, drift, axes), (d, w, rest, seen), h, count)
+        for k in range(begun, count):
             tool = first + drift * (k * h) + axes @ d - moved
             wrench = self._wrench(tool, axes @ w - speed)
             pull = -held.stiffness * (d - rest) - held.damping * (w - seen)
@@ -158,6 +163,73 @@ class Touch:
         self.impulse_time = -lasting
         self.touching = bool(total.any())
         return _six(d), _six(w)
+
+    def _swing(
+        self,
+        tool: tuple[Array, Array, Array],
+        state: tuple[Array, Array, Array, Array],
+        h: float,
+        count: int,
+    ) -> tuple[int, Array, Array]:
+        """Go on as ``advance`` does while surely nothing touches: plain floats, the same bits.
+
+        Args:
+            tool: where the rigid tcp is, its speed, and its axes in the hub's.
+            state: deflection, velocity, deflection in rest, velocity of the rigid tcp, (6,) each.
+
+        Returns:
+            Steps made of ``count``, deflection and velocity.
+        """
+        held, (first, drift, axes) = self._suspension, tool
+        d, w, rest, seen = (values.tolist() for values in state)
+        modes = np.array((-held.stiffness, held.damping, held.mass, rest, seen)).T.tolist()
+        (x, y, z, a, b, _), (vx, vy, vz, va, vb, _) = first.tolist(), drift.tolist()
+        r0, r1, r2, r3, r4, r5, r6, r7, r8 = axes[:3, :3].ravel().tolist()
+        outside: tuple[float, list[float]] | None = None
+        made = 0
+        while made < count:
+            t, (dx, dy, dz, da, db, dc) = made * h, d
+            depth = z + vz * t + (r6 * dx + r7 * dy + r8 * dz) + self._mating.bolt_length
+            place = (
+                x + vx * t + (r0 * dx + r1 * dy + r2 * dz),
+                y + vy * t + (r3 * dx + r4 * dy + r5 * dz),
+            )
+            tilt = math.hypot(
+                a + va * t + (r0 * da + r1 * db + r2 * dc),
+                b + vb * t + (r3 * da + r4 * db + r5 * dc),
+            )
+            if not self._is_apart(depth, math.hypot(*place), tilt):
+                break
+            if depth < 0.0:
+                outside = t, d
+            elif outside is not None:  # the bolts' tips have passed the face
+                break
+            w = [
+                v + h * (k * (p - hung) - c * (v - s)) / m
+                for p, v, (k, c, m, hung, s) in zip(d, w, modes, strict=True)
+            ]
+            d = [p + h * (v - s) for p, v, s in zip(d, w, seen, strict=True)]
+            made += 1
+        if outside is not None:
+            self._enter(first + drift * outside[0] + axes @ np.array(outside[1]))
+        return made, np.array(d), np.array(w)
+
+    def _is_apart(self, depth: float, lateral: float, tilt: float) -> bool:
+        """Tell whether surely nothing touches.
+
+        Args:
+            depth: of the bolts' tips behind the face of the hub [m].
+            lateral: distance of the tool from the hub's axis [m].
+            tilt: angle between the axes [rad].
+        """
+        mating = self._mating
+        if depth + mating.bolt_circle * tilt < -_SURE:
+            return True
+        if depth < _SURE or not self.entered:
+            return False
+        play = mating.clearance + max(0.0, mating.chamfer - depth)
+        flange = depth - mating.bolt_length + mating.flange * tilt
+        return flange < -_SURE and lateral < play - _SURE
 
     def _enter(self, tool: Array) -> None:
         """Let the bolts into their holes when all of them are within the chamfer."""
