@@ -87,11 +87,11 @@ def record(cell: EmulatedCell, name: StepName, path: Path) -> Path:
         return _dry_run(cell, setup, path)
     postures: list[Seven] = []
     resting = commission_run.resting_scenario(setup.scenario)
-    found = cell_files.named(str(cell.site)).nominal
+    nominal = cell_files.named(str(cell.site)).nominal
     if name is StepName.CAMERA:
-        postures = commission_run.looking_postures(task=found)
+        postures = commission_run.looking_postures(task=nominal)
     elif name is StepName.FORCE:
-        postures = commission_run.weighing_postures(found)
+        postures = commission_run.weighing_postures(nominal)
     elif name is StepName.CONVEYOR:
         resting = _passing(setup.scenario)
     elif name is StepName.OBJECT:
@@ -149,7 +149,7 @@ def _drive(truth: Scenario) -> tuple[float, float]:
     """Return deceleration and acceleration of the line's drive [m/s^2].
 
     Raises:
-        SetupError: the scenario has no stop and start to tell them.
+        SetupError: the scenario has no stop and start that it could use.
     """
     drive = {event.kind: event.acceleration for event in truth.conveyor.events}
     if not {"stop", "start"} <= drive.keys():

@@ -1,8 +1,8 @@
 """Learning over assemblies: where the object is felt beyond where the camera shows it.
 
 A hand-eye calibration has an error that no sensor sees before the touch. A clamped tool measures
-the object, and the camera's place of it is known from just before. Their difference across the tool's
-axis is what the next assembly is corrected by (``tracking.camera.felt``).
+the object, and the camera's place of it is known from just before. Their difference across the
+tool's axis is what the next assembly is corrected by (``tracking.camera.felt``).
 
 Invariants:
 - A touch counts if its assembly was good: screws fixed, then the wheel released, no retreat.

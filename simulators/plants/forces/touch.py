@@ -178,7 +178,7 @@ class Touch:
             state: deflection, velocity, deflection in rest, velocity of the rigid tcp, (6,) each.
 
         Returns:
-            Steps made of ``count``, deflection and velocity.
+            Steps done of ``count``, deflection and velocity.
         """
         held, (first, drift, axes) = self._suspension, tool
         d, w, rest, seen = (values.tolist() for values in state)
@@ -186,9 +186,9 @@ class Touch:
         (x, y, z, a, b, _), (vx, vy, vz, va, vb, _) = first.tolist(), drift.tolist()
         r0, r1, r2, r3, r4, r5, r6, r7, r8 = axes[:3, :3].ravel().tolist()
         outside: tuple[float, list[float]] | None = None
-        made = 0
-        while made < count:
-            t, (dx, dy, dz, da, db, dc) = made * h, d
+        done = 0
+        while done < count:
+            t, (dx, dy, dz, da, db, dc) = done * h, d
             depth = z + vz * t + (r6 * dx + r7 * dy + r8 * dz) + self._mating.bolt_length
             place = (
                 x + vx * t + (r0 * dx + r1 * dy + r2 * dz),
@@ -209,13 +209,13 @@ class Touch:
                 for p, v, (k, c, m, hung, s) in zip(d, w, modes, strict=True)
             ]
             d = [p + h * (v - s) for p, v, s in zip(d, w, seen, strict=True)]
-            made += 1
+            done += 1
         if outside is not None:
             self._enter(first + drift * outside[0] + axes @ np.array(outside[1]))
-        return made, np.array(d), np.array(w)
+        return done, np.array(d), np.array(w)
 
     def _is_apart(self, depth: float, lateral: float, tilt: float) -> bool:
-        """Tell whether surely nothing touches.
+        """Return whether surely nothing touches.
 
         Args:
             depth: of the bolts' tips behind the face of the hub [m].
