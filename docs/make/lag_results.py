@@ -77,11 +77,11 @@ def by_cycle_to_touch(load: Load, has: Has) -> str:
         return _not_measured(TOUCH)
     rows = load(TOUCH)
     shown, reference = COLUMNS[:3], rows[REFERENCE_MS][CONTROL]["median"]
-    head = [f"[cycle, ms](results/{TOUCH}.json)", *(label for label, _ in shown),
+    head = [f"[cycle, ms](results/{TOUCH}.json)", "runs", *(label for label, _ in shown),
             f"control error over that of {REFERENCE_MS} ms"]  # fmt: skip
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for label, row in rows.items():
-        cells = [_cell(row.get(key)) for _, key in shown]
+        cells = [str(row["runs"]), *(_cell(row.get(key)) for _, key in shown)]
         ratio = f"{row[CONTROL]['median'] / reference:.2f}"
         lines.append("| " + " | ".join([label, *cells, ratio]) + " |")
     return "\n".join(lines)

@@ -23,7 +23,7 @@ def test_a_cycle_is_compared_with_the_one_of_4_ms() -> None:
 def test_a_cycle_until_the_touch_is_compared_with_the_one_of_4_ms() -> None:
     rows = {"4": row(0.1), "12": row(0.06)}
     text = lag_results.by_cycle_to_touch(lambda _: rows, lambda _: True)
-    assert text.splitlines()[3] == "| 12 | 0.06 (0.12) | - | - | 0.60 |"
+    assert text.splitlines()[3] == "| 12 | 4 | 0.06 (0.12) | - | - | 0.60 |"
 
 
 def test_what_was_not_measured_says_so() -> None:
