@@ -29,6 +29,7 @@ class WatchSettings:
         missed_in_contact_s: the same in contact [s].
         leak_s: level of the leaky bucket at which the link is unproven too, in free space [s]. A
             cycle without a telegram adds twice its time, one with a telegram takes its time off.
+            In contact the limit is twice ``missed_in_contact_s``.
         position_s: age of the newest position beyond which tracking stops [s].
         position_in_contact_s: the same in contact [s]. The prediction bridges a camera outage of
             140 ms and a cycle.

@@ -174,8 +174,9 @@ def _link(signals: Signals, evidence: Evidence) -> Explanation:
     missed_s = settings.missed_in_contact_s if touches else settings.missed_s
     if _age_s(counts.telegram_ns, facts.stamp_ns) >= missed_s:
         return f"no answered telegram {silent}, limit {missed_s:.2f} s", cable
-    if counts.leak_ns >= round(1e9 * settings.leak_s):
-        level = f"level {counts.leak_ns * 1e-9:.2f} s, limit {settings.leak_s:.2f} s"
+    most_ns = watch.largest_leak_ns(settings, counts.state)
+    if counts.leak_ns >= most_ns:
+        level = f"level {counts.leak_ns * 1e-9:.2f} s, limit {most_ns * 1e-9:.2f} s"
         return f"telegrams missed too often: {level}", cable
     return _not_proven(evidence), cable
 

@@ -116,7 +116,8 @@ def observe(
 def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> Watch:
     # A link that was lost, or a controller whose program started again, is not proven.
     restarts = facts.new_session or watch.link is Link.LOST
-    leak_ns = 0 if restarts else _leaked(watch, facts, settings)
+    most_ns = largest_leak_ns(settings, state)
+    leak_ns = 0 if restarts else _leaked(watch, facts, most_ns)
     unproven = restarts or facts.resynchronised
     good = (0 if unproven else watch.good) + 1 if facts.telegram else 0
     telegram_ns = facts.stamp_ns if facts.telegram else watch.telegram_ns
@@ -128,8 +129,7 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         link = Link.LOST
     elif watch.link is Link.HEALTHY:
         missed_s = settings.missed_in_contact_s if in_contact else settings.missed_s
-        shaky = not in_contact and leak_ns >= round(settings.leak_s * 1e9)
-        shaky = shaky or silent_s >= missed_s
+        shaky = leak_ns >= most_ns or silent_s >= missed_s
         shaky = shaky or facts.resynchronised or facts.wrong_cycle is not None
         link = Link.UNPROVEN if shaky else Link.HEALTHY
     else:
@@ -150,11 +150,20 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     )
 
 
-def _leaked(watch: Watch, facts: Facts, settings: WatchSettings) -> int:
-    """Return the level of the leaky bucket one cycle later [ns]."""
+def largest_leak_ns(settings: WatchSettings, state: State) -> int:
+    """Return the level of the leaky bucket at which the link is unproven [ns].
+
+    In contact that of a silence that ends it: telegrams missed now and then pull at the mount too.
+    """
+    longest_s = 2.0 * settings.missed_in_contact_s if state in IN_CONTACT else settings.leak_s
+    return round(longest_s * 1e9)
+
+
+def _leaked(watch: Watch, facts: Facts, most_ns: int) -> int:
+    """Return the level of the leaky bucket one cycle later, at most ``most_ns`` [ns]."""
     passed_ns = 0 if watch.stamp_ns is None else max(0, facts.stamp_ns - watch.stamp_ns)
     level_ns = watch.leak_ns + (-passed_ns if facts.telegram else 2 * passed_ns)
-    return max(0, min(level_ns, round(settings.leak_s * 1e9)))
+    return max(0, min(level_ns, most_ns))
 
 
 def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:

@@ -96,14 +96,20 @@ def test_a_lost_link_must_prove_itself_again() -> None:
 
 
 @pytest.mark.parametrize("cycle_ns", CYCLES_NS)
-def test_telegrams_missing_now_and_then_fill_the_bucket_in_the_same_time(cycle_ns: int) -> None:
-    run, begun_ns = Run(State.TRACK, cycle_ns).healthy(), 0
+@pytest.mark.parametrize(
+    ("state", "limit_s"),
+    [(State.TRACK, SETTINGS.leak_s), (State.CONTACT, 2.0 * SETTINGS.missed_in_contact_s)],
+)
+def test_telegrams_missing_now_and_then_fill_the_bucket_in_the_same_time(
+    state: State, limit_s: float, cycle_ns: int
+) -> None:
+    run, begun_ns = Run(state, cycle_ns).healthy(), 0
     begun_ns = run.now_ns
     while run.cycle(telegram=bool((run.now_ns // cycle_ns) % 2)).link is Link.HEALTHY:
         assert run.now_ns - begun_ns < 1_000_000_000
     # Half of the telegrams: the level rises by half of the time that passes.
-    assert run.now_ns - begun_ns == pytest.approx(2e9 * SETTINGS.leak_s, abs=3 * cycle_ns)
-    rare = Run(State.TRACK, cycle_ns).healthy()
+    assert run.now_ns - begun_ns == pytest.approx(2e9 * limit_s, abs=3 * cycle_ns)
+    rare = Run(state, cycle_ns).healthy()
     assert {rare.cycle(telegram=bool(k % 5)).link for k in range(200)} == {Link.HEALTHY}
 
 
