@@ -532,7 +532,7 @@ def update_contact(
     if after.clamped or after.withdrawn is not None:
         # A retreat waits for the clamp already, and its own motion gives the force of a touch.
         return after
-    force = None if report.force is None else float(report.force[2])
+    x, y, force = (0.0, 0.0, None) if report.force is None else report.force.tolist()
     contact_state = contact.record_force(
         before.contact_state,
         tracker.vibration,
@@ -556,7 +556,8 @@ def update_contact(
     if has_contact and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
         bolts = tracker.settings.payload.bolts
-        has_contact = not contact.may_rub(reach, bolts) or _is_face(tracker, contact_state)
+        rubs = contact.may_rub(reach, bolts)
+        has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
         if has_contact:
             touched = _touched_programme(tracker, before, after, reach)
             sign = force_sign.at_touch(force, tracker.vibration.force)
@@ -573,9 +574,13 @@ def update_contact(
     )
 
 
-def _is_face(tracker: Tracker, state: contact.ContactState) -> bool:
-    """Return whether an early touch is the face of an object that is nearer than estimated."""
-    least = guard.face_force(tracker.task.guard, tracker.settings.tactile.stiffness[2])
+def _is_face(tracker: Tracker, state: contact.ContactState, across: float) -> bool:
+    """Return whether an early touch is the face of an object that is nearer than estimated.
+
+    Args:
+        across: force across the tool's axis [N].
+    """
+    least = guard.face_force(tracker.task.guard, tracker.settings.tactile.stiffness[2], across)
     least = max(least, tracker.vibration.force)
     return contact.is_contact(state, tracker.vibration, least)
 

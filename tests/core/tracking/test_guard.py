@@ -127,3 +127,6 @@ def test_the_object_is_where_the_tool_touched_less_what_the_mount_gave_way(
 def test_the_force_of_a_face_is_a_part_of_what_the_mount_gives_over_the_way_on() -> None:
     whole = 50e3 * GuardedApproach().touch_speed * guard.GOES_ON_S
     assert 0.2 * whole < guard.face_force(GuardedApproach(), 50e3) < 0.5 * whole
+    # Bolts that are pressed aside in their holes by 60 N rub with up to 30 N.
+    least = guard.face_force(GuardedApproach(), 50e3)
+    assert guard.face_force(GuardedApproach(), 50e3, 60.0) == pytest.approx(least + 30.0)

@@ -22,6 +22,7 @@ ACCELERATION = 1.5  # largest one of that, from which a longer time follows [m/s
 PEAK = 7.52  # largest second derivative of the step from 0 to 1 in unit time
 GOES_ON_S = 0.15  # for which the motion goes on after a touch [s]
 FACE_SHARE = 0.33  # of the force that a face gives over that way
+RUBBING = 0.5  # largest coefficient of friction of bolts in their holes
 TIMEOUT_FACTOR = 2.0  # a search that cannot advance ends after so many times its duration
 
 
@@ -58,16 +59,17 @@ class TouchedProgramme(Struct, frozen=True):
 UNTOUCHED = TouchedProgramme()
 
 
-def face_force(guard: GuardedApproach, stiffness: float) -> float:
+def face_force(guard: GuardedApproach, stiffness: float, across: float = 0.0) -> float:
     """Return the force along the tool's axis from which an early touch is the object's face [N].
 
     The face stops the tool, and the force grows with the way on. Bolts that rub in their holes
-    resist less, however far the tool goes.
+    resist less, however far the tool goes: by their friction under the force across the axis.
 
     Args:
         stiffness: of the mount along that axis [N/m].
+        across: force across the tool's axis [N].
     """
-    return FACE_SHARE * guard.touch_speed * GOES_ON_S * stiffness
+    return FACE_SHARE * guard.touch_speed * GOES_ON_S * stiffness + RUBBING * across
 
 
 def advanced(
