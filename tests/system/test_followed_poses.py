@@ -42,7 +42,7 @@ class Peer:
     sent: int = 0
     waiting: list[tuple[int, bytes]] = field(default_factory=list)
 
-    def look(self) -> None:
+    def give_order(self) -> None:
         cycle = self.lockstep.cycle
         now_ns = self.lockstep.links.stamp(self.lockstep.world.time_s)
         if self.begin_ns is None:

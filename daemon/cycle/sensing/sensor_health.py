@@ -139,7 +139,7 @@ Trusted = tuple[int, float]
 
 
 class DistanceHealth(Health[DistanceSample]):
-    """Check of the distance sensor: no jump, and no stop without slowing down."""
+    """Check of the distance sensor: no jump, no stop without slowing down, no way backwards."""
 
     __slots__ = ("_changed_ns", "_learned", "_quick", "_square", "_trusted", "_unit", "_value")
 
@@ -175,6 +175,8 @@ class DistanceHealth(Health[DistanceSample]):
                 fault = f"it jumped by {off:.3f} m"
             elif speed is not None:
                 self._learn(off)
+        if conditions.moving and speed is not None and speed < -MOVING:
+            fault = fault or f"it runs backwards at {speed:.3f} m/s; check its sign"
         fault = fault or self._frozen(stamp_ns)
         if fault is None:
             trusted.append((stamp_ns, position))

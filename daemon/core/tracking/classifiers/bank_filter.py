@@ -34,6 +34,8 @@ SWAY_DEVIATION = 0.001  # of the amplitude of a known sway when the estimate beg
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
 LEAST_SPREAD_S = 0.05  # root of the rejected readings' squared times: a speed to 8 mm/s [s]
+BACK_SHARE = 0.25  # of the nominal speed, backwards: a body that sways is slower
+BACK_SIGMAS = 4.0  # of the noise, by which readings have to run backwards
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
@@ -212,7 +214,8 @@ def correct(
         if not abs(nu) <= gate and not _is_plausible(model, state, nu, -off[_FIRST:middle], gate):
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
-            if rejections >= MOST_REJECTED and not _is_frozen(state, measurement):
+            is_faulty = _is_frozen(state, measurement) or _runs_back(model, state, measurement)
+            if rejections >= MOST_REJECTED and not is_faulty:
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
                 return _widened(model, state, nu, measurement.source)
             continue
@@ -253,6 +256,19 @@ def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
     return abs(speed) * since > FROZEN_WAY and since < FROZEN_S
 
 
+def _runs_back(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
+    """Return whether the distance sensor shows a conveyor that runs backwards: its sign is wrong.
+
+    A filter widened for it would lead the tool backwards.
+    """
+    rate = _reading_rate(state)
+    if measurement.source is not Source.DISTANCE or rate is None:
+        return False
+    speed, spread = rate
+    noise = BACK_SIGMAS * model.distance_deviation / math.sqrt(spread)
+    return speed < -max(noise, BACK_SHARE * model.conveyor.nominal_speed)
+
+
 def _widened(model: BankModel, state: BankState, nu: float, source: Source) -> BankState:
     """Return the state with a larger covariance: the filter is wrong, not eight readings.
 
@@ -277,14 +293,26 @@ def _speed_variance(model: BankModel, state: BankState) -> float:
 
     The rejected readings show it: those of a sensor that became late run on at the right speed.
     """
-    ages, values = state.readings[:, 1 - MOST_REJECTED :]
     unknown = (0.5 * model.conveyor.nominal_speed) ** 2
-    times = ages.mean() - ages if len(ages) else ages
-    spread = float(times @ times)
-    if len(ages) < MOST_REJECTED - 1 or spread < LEAST_SPREAD_S**2:
+    rate = _reading_rate(state)
+    if rate is None:
         return unknown
-    off = float(times @ values) / spread - float(state.x[V])
+    speed, spread = rate
+    off = speed - float(state.x[V])
     return min(max(off * off - model.distance_deviation**2 / spread, 0.0), unknown)
+
+
+def _reading_rate(state: BankState) -> tuple[float, float] | None:
+    """Return the speed that the last readings show [m/s] and the spread of their times [s^2].
+
+    None where they are too few, or too near to each other.
+    """
+    ages, values = state.readings[:, 1 - MOST_REJECTED :]
+    if len(ages) < MOST_REJECTED - 1:
+        return None
+    times = ages.mean() - ages
+    spread = float(times @ times)
+    return None if spread < LEAST_SPREAD_S**2 else (float(times @ values) / spread, spread)
 
 
 def _is_plausible(model: BankModel, state: BankState, nu: float, rho: Array, gate: float) -> bool:
