@@ -31,6 +31,7 @@ _PARTS = {
     "control.windup:WindupState": "control.windup:WindupState",
     "followed_poses:FollowedPoses": "followed_poses:FollowedPoses",
     "step:State": "step:StepState",
+    "tracking.bolt_search:BoltSearch": "tracking.touch.bolt_search:BoltSearch",
     "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",
     "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",

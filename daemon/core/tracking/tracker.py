@@ -212,7 +212,7 @@ def _programmed_poses(
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
-    commanded = tracker.merge_free.committed_s
+    commanded = tracker.merge_clamped.committed_s
     times = state.touching + tracker.span, commanded
     relative = guard.pressing(relative, tracker.press, before, times, state.touched)
     if state.releasing is None:
