@@ -604,8 +604,9 @@ def test_a_stop_in_motion_comes_to_rest_within_the_limits(station: Station) -> N
 
 def test_a_sensor_that_falls_silent_holds_the_robot(station: Station) -> None:
     station.track(30)
-    for _ in range(40):
-        station.cycle.samples.wrench.push(WrenchSample(station.stamp_ns, (0, 0, 0), (0, 0, 0)))
+    for step in range(40):
+        force = (0.01 * step, 0.0, 0.0)  # Wrenches alike in motion are no measurement.
+        station.cycle.samples.wrench.push(WrenchSample(station.stamp_ns, force, (0, 0, 0)))
         station.exchange(feed=False)
     assert station.cycle.machine.state is State.HOLD
     assert "position" in station.cycle.machine.because
