@@ -18,7 +18,6 @@ COMMANDS = {
     CURVE: f"{COMMAND} --curve --touch --seeds 4",
     TOUCH: f"{COMMAND} --cycles --touch --seeds 4",
     "lag": f"{COMMAND} --seeds 4",
-    "cycles": f"{COMMAND} --seeds 4 --cycles",
 }
 FAMILIES = {
     "campaign": "KUKA RSI, 12 ms",
@@ -55,23 +54,6 @@ def by_lag(load: Load, has: Has) -> str:
 
 
 def by_cycle(load: Load, has: Has) -> str:
-    """Return a row for each cycle, with its control error over that of 4 ms."""
-    if not has("cycles"):
-        return _not_measured("cycles")
-    result = load("cycles")
-    reference = result[REFERENCE_MS][CONTROL]["median"]
-    head = f"control error over that of {REFERENCE_MS} ms"
-    return _table(
-        load,
-        has,
-        "cycles",
-        "cycle, ms",
-        head,
-        lambda row: f"{row[CONTROL]['median'] / reference:.2f}",
-    )
-
-
-def by_cycle_to_touch(load: Load, has: Has) -> str:
     """Return a row for each cycle of runs until the touch, with its control error over 4 ms'."""
     if not has(TOUCH):
         return _not_measured(TOUCH)

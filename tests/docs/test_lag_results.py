@@ -15,14 +15,9 @@ def test_a_row_has_medians_and_worst_runs_and_a_dash_for_what_is_missing() -> No
     assert text.splitlines()[2] == "| 84 | 3 of 4 | 0.15 (0.3) | - | - | - | - |"
 
 
-def test_a_cycle_is_compared_with_the_one_of_4_ms() -> None:
-    text = lag_results.by_cycle(lambda _: {"4": row(0.1), "24": row(0.11)}, lambda _: True)
-    assert [line.rsplit("|", 2)[1].strip() for line in text.splitlines()[2:]] == ["1.00", "1.10"]
-
-
 def test_a_cycle_until_the_touch_is_compared_with_the_one_of_4_ms() -> None:
     rows = {"4": row(0.1), "12": row(0.06)}
-    text = lag_results.by_cycle_to_touch(lambda _: rows, lambda _: True)
+    text = lag_results.by_cycle(lambda _: rows, lambda _: True)
     assert text.splitlines()[3] == "| 12 | 4 | 0.06 (0.12) | - | - | 0.60 |"
 
 
