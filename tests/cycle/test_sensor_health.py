@@ -266,3 +266,16 @@ def test_out_needs_three_bad_of_five_and_back_needs_ten_good(accepted: list[bool
             lately = accepted[max(0, k - 4) : k + 1]
             assert lately.count(False) >= BAD or accepted[max(0, k - 100) : k + 1].count(True) == 0
     assert health.refused <= len(accepted)
+
+
+@pytest.mark.parametrize(("conditions", "is_used"), [(MOVING, False), (RESTING, True)])
+def test_a_distance_that_runs_backwards_is_no_measurement_while_the_tool_moves(
+    conditions: Conditions, is_used: bool
+) -> None:
+    health = DistanceHealth()
+    used = [
+        health.accepts(DistanceSample(k * PERIOD_NS, -0.106 * k * PERIOD_NS * 1e-9), conditions)
+        for k in range(60)
+    ]
+    assert used[-1] is is_used
+    assert (health.reason is None) is is_used
