@@ -555,6 +555,11 @@ def test_readings_that_have_jumped_and_go_on_widen_the_filter_at_once() -> None:
     assert lasting < 0.15
 
 
+def test_readings_that_run_backwards_widen_no_filter() -> None:
+    """Of a sensor whose sign is wrong: the widened filter led the tool back along the line."""
+    assert widened_after(lambda later: NOMINAL * (2.0 - later) - 0.02) is None
+
+
 @pytest.mark.parametrize(("share", "least", "most"), [(1.0, 0.0, 0.01), (0.5, 0.03, 0.06)])
 def test_readings_that_have_jumped_and_go_on_at_their_speed_leave_it_known(
     share: float, least: float, most: float
