@@ -331,12 +331,15 @@ def test_garbage_at_the_robots_port_is_counted_and_every_telegram_answered(
     # The controller has the port for itself: strangers end in the kernel.
     assert fresh["received"] + fresh["kernel_drops"] >= sent + 9
     assert fresh["kernel_drops"] > sent // 2
-    assert fresh["unanswered"] >= 9
+    # On a stalled machine some wait until the next telegram is there: they are dropped as late.
+    late = fresh.get("stale", 0) + fresh.get("crowded", 0)
+    assert late < 9
+    assert fresh["unanswered"] >= 9 - late
     assert fresh["received"] == sum(
         fresh.get(name, 0) for name in ("answered", "unanswered", "stale", "oversize", "crowded")
     )
     counts = station.shown("telegrams")
-    assert counts["unreadable"] - before.status["telegrams"]["unreadable"] >= 9
+    assert counts["unreadable"] - before.status["telegrams"]["unreadable"] >= 9 - late
     assert counts["new_session"] == before.status["telegrams"]["new_session"]
     assert station.shown("last_refusal")
 
