@@ -17,6 +17,7 @@ from linemate.daemon.commissioning.camera_mount import CameraMount
 from linemate.daemon.commissioning.conveyor_frame import SCALE_ERROR, ConveyorFrame, find_frame
 from linemate.daemon.commissioning.link_figures import find_links
 from linemate.daemon.commissioning.motion.axis_signs import find_signs
+from linemate.daemon.commissioning.object_place import ObjectPlace, find_place
 from linemate.daemon.commissioning.postures import StandingPosture, distinct, find_postures
 from linemate.daemon.commissioning.recorded_cell import CellError, RecordedCell, read_cell
 from linemate.daemon.commissioning.sensor_mount import SensorMount
@@ -376,7 +377,33 @@ def _servo_overlay(overlay: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _object(data: _Data, _: StatedFacts) -> Measurement:
-    return _identified(data, OBJECT_LINES, _object_overlay)
+    """Return what swings, and where the objects hang; a step without the one has the other."""
+    task = data.cell.task
+    postures = [data.postures(recorded) for recorded in data.recordings]
+    place = find_place(postures, task.arm.camera_in_tcp, task.object.nominal)
+    identified = _identified(data, OBJECT_LINES, _object_overlay)
+    lines = (*identified.lines, *_place_lines(place))
+    if isinstance(place, Refusal):
+        return Measurement(lines, identified.overlay, identified.refused)
+    nominal = {"object": {"nominal": _pose(place.position, place.rotation)}}
+    return Measurement(lines, {**identified.overlay, "task": nominal})
+
+
+def _place_lines(place: ObjectPlace | Refusal) -> list[ReportLine]:
+    if isinstance(place, Refusal):
+        return [ReportLine("object off its nominal place", "mm", 1e3, place)]
+    basis = f"mean of {place.objects} objects, one deviates by"
+    rows = zip(("x", "z", "rx", "ry", "rz"), place.off, place.deviation, place.spread, strict=True)
+    return [
+        ReportLine(
+            f"object off its nominal {axis}",
+            "mrad" if axis.startswith("r") else "mm",
+            1e3,
+            Estimate(float(value), float(sigma), f"{basis} {1e3 * float(spread):.2f}"),
+            axis in ("x", "z", "ry"),
+        )
+        for axis, value, sigma, spread in rows
+    ]
 
 
 def _object_overlay(overlay: Mapping[str, Any]) -> dict[str, Any]:

@@ -88,6 +88,9 @@ def identify_arm_windup(
         nominal: (3, 3) C, the nominal object's axes in base.
     """
     count = min(traces[0].motors.shape[1], MOST_AXES) if traces else 0
+    turned = max((float(np.ptp(t.motors[:, :count], axis=0).max()) for t in traces), default=0.0)
+    if turned < TRAVELS[0]:
+        return ArmWindup((), (Refusal("no axis turned: a robot at rest winds nothing up"),) * count)
     recordings = [
         _Recording(trace, look(trace), _slopes(trace, count, kinematics, nominal))
         for trace in traces

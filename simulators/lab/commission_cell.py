@@ -2,8 +2,9 @@
 
     python -m linemate.simulators.lab.commission_cell SITE --out DIR
 
-It leaves ``DIR/STEP.mcap``, two for the dry run. SITE is the folder of a cell: ``linemated.yaml``
-and ``scenario.yaml``. What is mounted wrongly is set by ``--set scenario.KEY=VALUE``.
+It leaves ``DIR/STEP.mcap``; two for the dry run, and three of the object, of another one each. SITE
+is the folder of a cell: ``linemated.yaml`` and ``scenario.yaml``. What is mounted wrongly is set by
+``--set scenario.KEY=VALUE``.
 
 Invariants:
 - The daemon has SITE's configuration with its overlays; the scenario alone has the truth.
@@ -41,7 +42,8 @@ STEPS: Final = (
     StepName.LINKS, StepName.SIGNS, StepName.FORCE, StepName.CAMERA, StepName.CONVEYOR,
     StepName.SERVOS, StepName.OBJECT, StepName.DRY_RUN,
 )  # fmt: skip
-DRY_RUNS: Final = 2
+SEVERAL: Final = {StepName.DRY_RUN: 2, StepName.OBJECT: 3}
+"""Recordings of a step. A dry run of a short task shows too few images; objects differ."""
 RUN_WAY, STOPS, STAND_S = 0.25, 3, 2.0  # way of the object before each stop [m], rest after it
 SWING_S: Final = 32.0  # the object swings for so long before a line at rest
 
@@ -208,7 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     names = STEPS if args.step is None else (StepName(args.step),)
     for name in names:
         try:
-            files = [str(path) for path in _recorded(cell, name, args.out)]
+            files = [str(path) for path in recorded(cell, name, args.out)]
         except (FileError, SetupError) as error:
             print(error, file=sys.stderr)
             return 1
@@ -216,13 +218,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _recorded(cell: EmulatedCell, name: StepName, folder: Path) -> list[Path]:
-    """Leave the recordings of a step; a short task shows enough images in two runs."""
-    if name is not StepName.DRY_RUN:
+def recorded(cell: EmulatedCell, name: StepName, folder: Path) -> list[Path]:
+    """Leave the recordings of a step; return where.
+
+    Raises:
+        FileError, SetupError: the site's files do not fit, or the motion in them.
+    """
+    if name not in SEVERAL:
         return [record(cell, name, folder / f"{name.value}.mcap")]
     return [
         record(replace(cell, seed=cell.seed + i), name, folder / f"{name.value}-{i + 1}.mcap")
-        for i in range(DRY_RUNS)
+        for i in range(SEVERAL[name])
     ]
 
 

@@ -33,6 +33,10 @@ WRONG_SENSOR = (
     "scenario.force_torque.sign=-1",
     f"scenario.effector.load.tool_mass={MASS}",
 )
+ELSEWHERE = (
+    "scenario.body.offset=[0.05, 0.0, -0.04]",
+    "scenario.body.rotation=[0.0, 0.03, 0.0]",
+)
 ASKEW = ("scenario.conveyor.effects.askew=[0.01, 0.0]",)
 
 
@@ -42,8 +46,8 @@ def site(tmp_path: Path) -> Path:
 
 
 def commission(cell: EmulatedCell, step: StepName, *words: str) -> int:
-    file = commission_cell.record(cell, step, cell.site / f"{step.value}.mcap")
-    arguments = ["commission", str(cell.site), "--step", step.value, "--from", str(file)]
+    files = map(str, commission_cell.recorded(cell, step, cell.site))
+    arguments = ["commission", str(cell.site), "--step", step.value, "--from", *files]
     return tool.main([*arguments, *words])
 
 
@@ -126,6 +130,23 @@ def test_a_line_that_runs_10_mrad_off_is_found_and_the_truth_does_not_turn_with_
     assert float(np.linalg.norm(np.array(axis) - (0.01, 0.99995, 0.0))) < 1e-3
     assert found["tracking"]["distance"]["deviation"] == pytest.approx(0.38e-3, rel=0.1)
     assert run(cell, with_overlay=StepName.CONVEYOR)["assembled"]
+
+
+def test_objects_that_hang_off_their_nominal_place_are_found(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three objects, 50 and 40 mm off and turned about the line; each swings, for a short time."""
+    monkeypatch.setattr(commission_cell, "SWING_S", 6.0)
+    nominal = EmulatedCell(site).setup().task.object.nominal
+    cell = EmulatedCell(site, overrides=ELSEWHERE)
+    assert commission(cell, StepName.OBJECT) == 0
+    found = overlay(site, StepName.OBJECT)["task"]["object"]["nominal"]
+    C = rotations.matrix(nominal.quaternion)
+    off = C.T @ (np.array(found["position"]) - nominal.position)
+    assert off == pytest.approx((0.05, 0.0, -0.04), abs=1e-3)
+    turned = rotations.log(C.T @ rotations.matrix(tuple(found["quaternion"])))
+    assert turned == pytest.approx((0.0, 0.03, 0.0), abs=2e-3)
+    assert run(cell, with_overlay=StepName.OBJECT)["assembled"]
 
 
 def test_the_truth_of_a_cell_is_its_task_file_whatever_overlays_say(site: Path) -> None:
