@@ -46,7 +46,8 @@ class ObjectPlace:
     @property
     def deviation(self) -> Array:
         """Deviation of the mean, (5,) as ``spread``."""
-        return self.spread / np.sqrt(self.objects)
+        deviation: Array = self.spread / np.sqrt(self.objects)
+        return deviation
 
 
 def find_place(
