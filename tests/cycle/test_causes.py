@@ -163,7 +163,7 @@ def test_what_is_named_is_enough_for_the_row_whatever_else_is_the_case() -> None
     seen = 0
     for state, link in itertools.product(State, Link):
         for n, bits in enumerate(itertools.product((False, True), repeat=len(FLAGS))):
-            if n % 97:
+            if n % 397:
                 continue
             signals = Signals(link, *bits)
             machine = Machine(state, latched=signals.fault or n % 2 == 0)
@@ -183,7 +183,7 @@ def test_what_is_named_is_enough_for_the_row_whatever_else_is_the_case() -> None
                 others = deciding_row(unlatched, replace(QUIET, **fewer)) is row
                 # One of several that would do each by itself.
                 assert not others or len(loud) > 1, (row, names)
-    assert seen > 1000
+    assert seen > 250
 
 
 @pytest.mark.parametrize(
