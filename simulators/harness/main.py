@@ -358,6 +358,10 @@ def _add_shift(commands: "Commands[CommandLine]") -> None:
     shift.add_argument(
         "--faulty", type=_share, default=0.02, metavar="SHARE", help="of cars with a fault; 0.02"
     )
+    shift.add_argument(
+        "--opc-ua", action="store_true",
+        help="the line's controller is a client of the OPC UA server alone (extra 'plc')",
+    )  # fmt: skip
     shift.add_argument("--workers", type=_count, metavar="N", help="daemons to split it over; 1")
     shift.add_argument(
         "--minutes", type=_minutes, metavar="M", help="of computing, after which no car enters"

@@ -4,6 +4,7 @@ The whole service runs in virtual time, driven through the command protocol alon
 """
 
 import math
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.harness.line import line_station
 from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.lab.shift import plan, shift
+from linemate.simulators.lab.shift.opc_line import OpcLineController
 from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftRun, run
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
@@ -91,6 +93,29 @@ def test_every_good_car_is_mounted_and_every_other_one_reported_with_its_cause(
 def test_the_lines_controller_types_no_order(outcome: ShiftOutcome) -> None:
     assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
     assert outcome.requests["announce"] == len(CARS)
+
+
+def test_a_line_that_speaks_opc_ua_alone_drives_a_shift(tmp_path: Path) -> None:
+    """asyncua's client against the server of ``linemate plc``, in another process."""
+    records = tmp_path / "records"
+    records.mkdir()
+    with closing(OpcLineController()) as plc:
+        outcome = run(station(tmp_path), CARS[:2], TAKT_S, records, plc=plc)
+    result = shift.judge([outcome], 1)
+    assert result["good"], as_json(result)
+    assert [row["mounted"] for row in result["cars"]] == [True, False]
+    assert outcome.requests["announce"] == 2
+    assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
+
+
+def test_a_method_that_is_refused_over_opc_ua_has_its_reason(tmp_path: Path) -> None:
+    records = tmp_path / "records"
+    records.mkdir()
+    with closing(OpcLineController()) as plc:
+        twice = [CARS[0], CARS[0]]
+        ShiftRun(station(tmp_path), twice, TAKT_S, records, plc=plc).run()
+        assert plc.refusals[0].startswith("announce: ")
+        assert "P1" in plc.refusals[0]
 
 
 def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome) -> None:

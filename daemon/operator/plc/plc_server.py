@@ -100,13 +100,21 @@ class PlcServer:
         values: as last written to the variables.
     """
 
-    def __init__(self, endpoint: str, users: Mapping[str, PlcUser], connect: Callable[[], Client]):
+    def __init__(
+        self,
+        endpoint: str,
+        users: Mapping[str, PlcUser],
+        connect: Callable[[], Client],
+        poll_s: float | None = POLL_S,
+    ):
         """Prepare the server; ``run`` opens the port.
 
         Args:
             endpoint: URL to serve at, such as ``opc.tcp://127.0.0.1:4840/linemate``.
             connect: returns a client of the daemon.
+            poll_s: period at which the status is read [s]; None: only ``refresh`` reads it.
         """
+        self._poll_s = poll_s
         self.values = PlcValues()
         self._endpoint, self._users, self._connect = endpoint, users, connect
         self._client: Client | None = None
@@ -143,10 +151,11 @@ class PlcServer:
         await self._make_nodes(server)
         async with server:
             on_ready()
-            while not end.is_set():
-                await self._poll()
+            while self._poll_s is not None and not end.is_set():
+                await self.refresh()
                 with contextlib.suppress(TimeoutError):
-                    await asyncio.wait_for(end.wait(), POLL_S)
+                    await asyncio.wait_for(end.wait(), self._poll_s)
+            await end.wait()
         if self._client is not None:
             self._client.close()
 
@@ -203,8 +212,8 @@ class PlcServer:
             self._client = self._connect()
         return self._client.call(op, params, ASK_S)
 
-    async def _poll(self) -> None:
-        """Write what has changed since the last status."""
+    async def refresh(self) -> None:
+        """Read the status and write what has changed since the last one."""
         try:
             status: dict[str, Any] | None = await self._ask("status", {})
         except _FAILURES:

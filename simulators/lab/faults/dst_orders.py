@@ -9,10 +9,11 @@ from typing import Any
 
 from linemate.daemon.service.app import App
 from linemate.protocol.command.authenticated import CommandClient, Incoming
-from linemate.protocol.command.client_core import Answer
+from linemate.protocol.command.client_core import Answer, More
 from linemate.protocol.command.frame_codec import Role
 from linemate.protocol.command.preshared_keys import PresharedKey, make_key
 
+ADDRESS = ("127.0.0.1", 50_100)
 DEADLINE_NS = 200_000_000
 NAMES = ("operator", "colleague")
 KEYS: tuple[PresharedKey, ...] = tuple(
@@ -74,18 +75,20 @@ class CommandWire:
         return client
 
     def _exchange(self, client: CommandClient, frame: bytes, now_ns: int) -> Answer | None:
+        """Return the answer to a frame, with every part of it."""
         app = self._app
         assert app is not None  # noqa: S101 - an order has a daemon
         server = app._commands._server  # noqa: SLF001 - behind its socket
-        address = ("127.0.0.1", 50_100)
-        received = server.on_datagram(frame, address, now_ns)
-        replies = list(received.replies)
-        if received.request is not None:
-            replies += _carried_out(app, server, received.request, now_ns)
-        answer = None
-        for reply in replies:
-            event = client.on_datagram(reply, now_ns)
-            answer = event if isinstance(event, Answer) else answer
+        answer, frames = None, [frame]
+        while frames:
+            received = server.on_datagram(frames.pop(), ADDRESS, now_ns)
+            replies = list(received.replies)
+            if received.request is not None:
+                replies += _carried_out(app, server, received.request, now_ns)
+            for reply in replies:
+                event = client.on_datagram(reply, now_ns)
+                answer = event if isinstance(event, Answer) else answer
+                frames += [event.request.frame] if isinstance(event, More) else []
         return answer
 
 

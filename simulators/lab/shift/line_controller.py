@@ -51,11 +51,22 @@ class LineController:
         elif shown["state"] == "idle":
             self._ask(app, "next", {}, now_ns)
 
+    def close(self) -> None:
+        """End what was begun for it."""
+
     def _ask(self, app: App, op: str, params: dict[str, Any], now_ns: int) -> dict[str, Any] | None:
+        """Return the result of a request, None if it was refused."""
         self.orders[op] = self.orders.get(op, 0) + 1
+        result, why = self._answer(app, op, params, now_ns)
+        if result is None:
+            self.refusals = [*self.refusals, f"{op}: {why}"][-16:]
+        return result
+
+    def _answer(
+        self, app: App, op: str, params: dict[str, Any], now_ns: int
+    ) -> tuple[dict[str, Any] | None, str]:
+        """Return the result of a request, or None and why it was refused."""
         answer = self._wire.ask(app, NAMES[0], op, params, now_ns)
         if answer is not None and answer.ok:
-            return answer.result
-        why = "no answer" if answer is None else answer.reason or answer.code
-        self.refusals = [*self.refusals, f"{op}: {why}"][-16:]
-        return None
+            return answer.result, ""
+        return None, "no answer" if answer is None else answer.reason or answer.code

@@ -122,6 +122,7 @@ class ShiftRun:
         folder: Path,
         on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
         longest_s: float = math.inf,
+        plc: LineController | None = None,
     ) -> None:
         """Begin before the first cycle.
 
@@ -130,6 +131,7 @@ class ShiftRun:
             folder: for the record files.
             on_car: called with each car that has left.
             longest_s: time of the host after which no further car enters [s].
+            plc: the line's controller; None: one that speaks the command protocol.
         """
         ends = cell_links.of(station.files)
         files = self._station = _virtual(station, folder)
@@ -148,7 +150,7 @@ class ShiftRun:
         self._emitters = Emitters(
             self.line, Faults(()), mount, _ns, ends.encoder, ends.device, ends.sender
         )
-        self.plc = LineController()
+        self.plc = LineController() if plc is None else plc
         self._planned, self._last_entry_s = len(cars), time.monotonic() + longest_s
         self._folder, self._on_car = folder, on_car
         self._truths: list[CarTruth] = []
@@ -319,6 +321,7 @@ def run(
     folder: Path | None = None,
     on_car: Callable[[Car, CarTruth], None] = lambda _car, _truth: None,
     longest_s: float = math.inf,
+    plc: LineController | None = None,
 ) -> ShiftOutcome:
     """Run a shift.
 
@@ -327,11 +330,12 @@ def run(
         folder: for the record files; None: a temporary one.
         on_car: called with each car that has left.
         longest_s: time of the host after which no further car enters [s].
+        plc: the line's controller; None: one that speaks the command protocol.
     """
     if folder is not None:
-        return ShiftRun(station, cars, takt_s, folder, on_car, longest_s).run()
+        return ShiftRun(station, cars, takt_s, folder, on_car, longest_s, plc).run()
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
-        return ShiftRun(station, cars, takt_s, Path(name), on_car, longest_s).run()
+        return ShiftRun(station, cars, takt_s, Path(name), on_car, longest_s, plc).run()
 
 
 def _ns(time_s: float) -> int:

@@ -10,14 +10,17 @@ import math
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import closing
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from linemate.daemon.command_line import UsageError
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth
 from linemate.simulators.harness.line import line_station
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab import worker_pool
 from linemate.simulators.lab.shift import plan
+from linemate.simulators.lab.shift.line_controller import LineController
 from linemate.simulators.lab.shift.run import ShiftOutcome, run
 
 VERSION: Final = 1
@@ -41,19 +44,21 @@ class ShiftShare:
     Attributes:
         longest_s: time of the host after which no further car enters [s].
         cell: a shipped one or a folder that the worker can read; None: the shipped wheel.
+        over_opc_ua: the line's controller is a client of the OPC UA server, and of nothing else.
     """
 
     takt_s: float
     cars: tuple[Car, ...]
     longest_s: float = math.inf
     cell: str | None = None
+    over_opc_ua: bool = False
 
 
 def main(args: Namespace) -> int:
     """Run a shift and print what became of it.
 
     Args:
-        args: cars, cell, seed, takt, faulty, workers, minutes, scheduler, json.
+        args: cars, cell, seed, takt, faulty, workers, minutes, opc_ua, scheduler, json.
 
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
@@ -62,6 +67,7 @@ def main(args: Namespace) -> int:
     cars = plan.draw(args.cars, args.seed, station, args.faulty)
     longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
     shares = split(cars, args.workers or 1, args.takt, longest_s, args.cell)
+    shares = [replace(share, over_opc_ua=args.opc_ua) for share in shares]
     outcomes = worker_pool.spread(perform, shares, len(shares), scheduler=args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
@@ -86,7 +92,20 @@ def split(
 def perform(share: ShiftShare) -> ShiftOutcome:
     """Run a share in this process."""
     station = line_station.station(share.cell)
-    return run(station, share.cars, share.takt_s, on_car=_print_car, longest_s=share.longest_s)
+    with closing(_controller(share)) as plc:
+        return run(
+            station, share.cars, share.takt_s, on_car=_print_car, longest_s=share.longest_s, plc=plc
+        )
+
+
+def _controller(share: ShiftShare) -> LineController:
+    if not share.over_opc_ua:
+        return LineController()
+    try:
+        from linemate.simulators.lab.shift.opc_line import OpcLineController
+    except ImportError as error:
+        raise UsageError("asyncua is not installed; pip install linemate[plc]") from error
+    return OpcLineController()
 
 
 def _print_car(car: Car, truth: CarTruth) -> None:
