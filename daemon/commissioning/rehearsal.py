@@ -20,6 +20,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.parameters import Parameters, joints_at_rest
 from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.classifiers.distance import stop_delay
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase, WayHome
 from linemate.protocol.stamped_samples import AXES
@@ -67,7 +68,7 @@ class Rehearsal:
 
 def rehearse(parameters: Parameters) -> Rehearsal:
     """Run the nominal task through the kinematics."""
-    complaints = [*_pressed(parameters)]
+    complaints = [*_pressed(parameters), *_unseen_stops(parameters)]
     start = _start(parameters)
     if isinstance(start, Complaint):
         return Rehearsal((), (start, *complaints))
@@ -223,3 +224,29 @@ def _pressed(parameters: Parameters) -> Iterator[Complaint]:
                 "the sign and the unit of position z, and tracking.tactile.stiffness."
             )
             yield Complaint(("waypoints", i, "pose", "position"), what)
+
+
+def _unseen_stops(parameters: Parameters) -> Iterator[Complaint]:
+    """Return a touch that a stop of the conveyor would spoil before the distance sensor shows it.
+
+    A camera that sees the object up to the touch shows it too, and a line may announce its stops.
+    """
+    tracker = parameters.tracker
+    settings, conveyor = tracker.settings, tracker.task.conveyor
+    is_shown = settings.camera.blind_below <= 0.0 or conveyor.stop_input.bit is not None
+    if is_shown or tracker.sight_time == -math.inf:
+        return
+    deviation, cycle_s = settings.distance.deviation, parameters.cycle_s
+    # No rate of the sensor is configured: one reading a cycle is the most that counts.
+    seen_s = stop_delay.seen_after(
+        conveyor.deceleration, deviation, cycle_s, settings.bank.perceived
+    )
+    moved, most = 0.5 * conveyor.deceleration * seen_s**2, tracker.task.guard.tolerance
+    if moved > most:
+        what = (
+            f"a stop of {conveyor.deceleration:g} m/s^2 is seen after {seen_s:.2f} s by a distance "
+            f"sensor of {1e3 * deviation:g} mm (tracking.distance.deviation): the object is "
+            f"{1e3 * moved:.1f} mm off then, limit {1e3 * most:.1f} mm (guard.tolerance). Use a "
+            "finer distance sensor, or let the line announce its stops (conveyor.stop_input)."
+        )
+        yield Complaint(("conveyor", "stop_input"), what)

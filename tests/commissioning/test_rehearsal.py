@@ -12,13 +12,15 @@ from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters, build
-from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.daemon.core.tracking.task import PoseFile, TaskFile
+from linemate.daemon.core.tracking.settings import CameraNoise, DistanceNoise, TrackingSettings
+from linemate.daemon.core.tracking.task import PoseFile, StopInput, TaskFile
 from linemate.simulators.harness.setup import shipped_control
 
 
-def made(file: TaskFile = TASK.file, task: Task = TASK) -> Parameters:
-    return build(file, task.urdf, TrackingSettings(), shipped_control(), 0.012)
+def made(
+    file: TaskFile = TASK.file, task: Task = TASK, tracking: TrackingSettings | None = None
+) -> Parameters:
+    return build(file, task.urdf, tracking or TrackingSettings(), shipped_control(), 0.012)
 
 
 def complaints_of(file: TaskFile) -> list[str]:
@@ -94,3 +96,24 @@ def test_a_long_task_is_rehearsed_in_as_many_steps_at_most() -> None:
     parameters = made(replace(TASK.file, waypoints=tuple(points)))
     assert MOST_STEPS < 80.0 / 0.02
     rehearse(parameters)
+
+
+COARSE = TrackingSettings(distance=DistanceNoise(deviation=0.004))
+
+
+def test_a_stop_that_spoils_the_touch_before_the_sensor_shows_it_is_refused() -> None:
+    (complaint,) = rehearse(made(tracking=COARSE)).complaints
+    assert complaint.path == ("conveyor", "stop_input")
+    assert "is seen after 0.40 s by a distance sensor of 4 mm" in complaint.what
+    assert "8.5 mm off then, limit 3.0 mm (guard.tolerance)" in complaint.what
+
+
+def test_a_coarse_sensor_is_enough_where_something_else_shows_a_stop() -> None:
+    conveyor = replace(TASK.file.conveyor, stop_input=StopInput(bit=4))
+    assert rehearse(made(replace(TASK.file, conveyor=conveyor), tracking=COARSE)).complaints == ()
+    seeing = replace(COARSE, camera=CameraNoise(blind_below=0.0))
+    assert rehearse(made(tracking=seeing)).complaints == ()
+    guard = replace(TASK.file.guard, tolerance=0.009)
+    assert rehearse(made(replace(TASK.file, guard=guard), tracking=COARSE)).complaints == ()
+    exercise = task_file.load(DAEMON_DATA / "exercise.yaml")
+    assert rehearse(made(exercise.file, exercise, COARSE)).complaints == ()

@@ -2,6 +2,7 @@
 
 import pytest
 
+from linemate.daemon.commissioning.rehearsal import rehearse
 from linemate.simulators.lab.faults import dst_plan
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
@@ -21,6 +22,7 @@ from linemate.simulators.plants.scenario import Contact
 def test_a_cell_has_files_that_fit_and_limits_for_seven_axes(cell: str) -> None:
     assert len(axis_limits(cell)) == len(rest_pose(cell)) == 7
     parameters = compiled(0.012, cell)
+    assert rehearse(parameters).complaints == ()
     assert len(parameters.controller.limits.names) == (6 if cell == "six-axes" else 7)
     config = station_of(3.0, 4, cell).config
     assert (config.rsi.cycle_ms, config.realtime.lead_ms) == (4, 3.0)
@@ -43,3 +45,10 @@ def test_every_run_has_the_shipped_clamp_and_the_cycle_that_the_controller_has(c
     assert scenario.contact.release_s == Contact().release_s == 0.3
     assert scenario.contact.deflection_limit == Contact().deflection_limit
     assert scenario.cycle_s == pytest.approx(0.0126)
+
+
+def test_a_cell_whose_sensor_shows_stops_too_late_has_a_line_that_announces_them() -> None:
+    announced = station("tf03").task.file.conveyor.stop_input.bit
+    assert announced is not None
+    assert scenario_of(FaultPlan(1, cell="tf03")).conveyor.stop_signal.bit == announced
+    assert scenario_of(FaultPlan(1)).conveyor.stop_signal.bit is None

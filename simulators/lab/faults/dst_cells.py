@@ -16,7 +16,7 @@ from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
-from linemate.simulators.plants.conveyor_plan import Conveyor
+from linemate.simulators.plants.conveyor_plan import Conveyor, StopSignal
 from linemate.simulators.plants.scenario import (
     Body,
     Contact,
@@ -47,6 +47,7 @@ class FaultCell:
         message, signal: of the distance sensor.
         distance: the sensor behind it.
         wrench_period_s: of the force-torque sensor [s].
+        stop_bit: of the robot controller's inputs, on which the line announces its stops.
     """
 
     file: str
@@ -55,6 +56,7 @@ class FaultCell:
     signal: str = "Position"
     distance: DistanceSensor = field(default_factory=DistanceSensor)
     wrench_period_s: float = ForceTorque().period_s
+    stop_bit: int | None = None
 
 
 SHIPPED = ""
@@ -68,6 +70,7 @@ CELLS: dict[str, FaultCell] = {
         message="TF03",
         signal="Distance",
         distance=DistanceSensor(period_s=0.01, sigma=2e-3, quantisation=0.0),
+        stop_bit=4,
     ),
     "no-force": FaultCell("dst_no_force.yaml", force_torque=None),
 }
@@ -123,7 +126,7 @@ def scenario_of(plan: FaultPlan) -> Scenario:
         cycle_s=plan.real_cycle_s,
         lead_in_s=LEAD_IN_S,
         duration_s=plan.duration_s + 1.0,
-        conveyor=Conveyor(events=plan.events),
+        conveyor=Conveyor(events=plan.events, stop_signal=StopSignal(bit=cell.stop_bit)),
         body=Body(offset_range=(0.01, 0.01, 0.01), tilt=0.05, swings=(Swing(amplitude_max=3e-3),)),
         distance=cell.distance,
         force_torque=ForceTorque(period_s=cell.wrench_period_s),
