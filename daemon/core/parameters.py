@@ -190,6 +190,7 @@ def _tracker(
             tracking.tactile.stiffness[TOOL_AXIS],
             tracking.tactile.contact_force,
             cycle_s,
+            tracking.tactile.deflection,
         ),
         compliance=_compliance(tracking, clamped, cycle_s),
         sight_time=reference.sight_time,

@@ -46,6 +46,7 @@ from linemate.daemon.core.tracking.touch import (
     bolt_search,
     compliance,
     contact,
+    force_jump,
     force_sign,
     guard,
     release,
@@ -533,6 +534,8 @@ def update_contact(
         # A retreat waits for the clamp already, and its own motion gives the force of a touch.
         return after
     x, y, force = (0.0, 0.0, None) if report.force is None else report.force.tolist()
+    speed = _approach_speed(tracker, before, after)
+    after, force = _without_jumps(tracker, before, after, force, speed)
     contact_state = contact.record_force(
         before.contact_state,
         tracker.vibration,
@@ -544,7 +547,7 @@ def update_contact(
     if contact_state.forces:
         near = contact.reach(tracker.task.guard.clearance)
         contact_state = contact.count_touches(
-            contact_state, tracker.vibration, before.distance, near
+            contact_state, tracker.vibration, before.distance, near, speed
         )
     else:
         # With a force sensor the watch ends TRACK long before: there is none in this cell.
@@ -572,6 +575,37 @@ def update_contact(
         search=search,
         force_sign=sign,
     )
+
+
+def _approach_speed(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:
+    """Return the programmed speed of the tool towards the object [m/s]; 0 where it has none."""
+    advance = after.distance - before.distance
+    return max(advance, 0.0) / tracker.cycle_s if math.isfinite(advance) else 0.0
+
+
+def _without_jumps(
+    tracker: Tracker, before: TrackerState, after: TrackerState, force: float | None, speed: float
+) -> tuple[TrackerState, float | None]:
+    """Return the state and the force along the tool's axis without jumps of its sensor.
+
+    Args:
+        after: the state, with the samples of the force.
+        speed: programmed, of the tool towards the object [m/s].
+    """
+    felt, offset = before.contact_state, before.force_offset
+    if force is None or not after.sampled:
+        return replace(after, force_offset=replace(offset, last=None)), force
+    samples = [force + each for each in after.sampled]
+    if not contact.is_observable(felt, tracker.vibration):
+        # The tool may swing at any speed after a hold.
+        return replace(after, force_offset=force_jump.ForceOffset(0.0, samples[-1])), force
+    largest = force_jump.largest_change(
+        felt, tracker.vibration, max(speed, tracker.task.guard.touch_speed), 1.0 / len(samples)
+    )
+    offset, samples = force_jump.without_jumps(offset, samples, largest, felt.free or 0.0)
+    mean = sum(samples) / len(samples)
+    sampled = tuple([each - mean for each in samples])
+    return replace(after, force_offset=offset, sampled=sampled), mean
 
 
 def _is_face(tracker: Tracker, state: contact.ContactState, across: float) -> bool:

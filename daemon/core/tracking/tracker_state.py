@@ -28,7 +28,7 @@ from linemate.daemon.core.tracking.observation import (
 from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
-from linemate.daemon.core.tracking.touch import contact, guard
+from linemate.daemon.core.tracking.touch import contact, force_jump, guard
 from linemate.daemon.core.tracking.touch.bolt_search import NO_BOLT_SEARCH, BoltSearch
 from linemate.daemon.core.tracking.touch.compliance import (
     NO_COMPLIANCE,
@@ -131,6 +131,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         passed: gates that are open.
         blended: time since the blend to the sensed motion began [s], None before.
         contact_state: of the contact detection, until there is contact.
+        force_offset: what jumps of the measured force have added to it before contact.
         contact: the tool is clamped to the object.
         assumed: contact is assumed: the cell has no force-torque sensor.
         touching: time since the contact began [s].
@@ -189,6 +190,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     passed: frozenset[Gate] = frozenset()
     blended: float | None = None
     contact_state: contact.ContactState = contact.NO_CONTACT
+    force_offset: force_jump.ForceOffset = force_jump.NO_OFFSET
     contact: bool = False
     assumed: bool = False
     touching: float = 0.0

@@ -30,6 +30,8 @@ MARGIN = 0.003  # or this much before the approach is slow: an object that is ne
 PULL = 3.0
 
 LEFT_NOISE = 0.5  # share of a contact's force: less that is left is noise
+GROWTH_S = 0.024  # over which the force of a touch must have grown [s]
+GROWTH_SHARE = 0.5  # of what the mount alone gives for the tool's advance in that time
 LEFT_HALVES = 3.0  # half periods over which a remaining vibration is observed: slower modes too
 
 
@@ -61,12 +63,18 @@ class ToolVibration:
         kept: share of a deflection that is left after half a period, with its sign turned.
         force: what counts as contact [N].
         mass: of the tool, on its mount's stiffness [kg].
+        stiffness: of that mount along the tool's axis [N/m].
+        noise: one sigma of a force [N].
+        cycle_s: period of the steps [s].
     """
 
     half: float
     kept: float
     force: float
     mass: float = 0.0
+    stiffness: float = 0.0
+    noise: float = 0.0
+    cycle_s: float = 0.0
 
     @property
     def memory(self) -> int:
@@ -85,7 +93,12 @@ class ToolVibration:
 
 
 def tool_vibration(
-    frequency_hz: float, damping: float, stiffness: float, force: float, cycle_s: float
+    frequency_hz: float,
+    damping: float,
+    stiffness: float,
+    force: float,
+    cycle_s: float,
+    deflection: float = 0.0,
 ) -> ToolVibration:
     """Return the vibration of a mode, sampled in steps.
 
@@ -94,10 +107,12 @@ def tool_vibration(
         damping: of it, as a share of critical.
         stiffness: of the mount along that axis [N/m].
         force: what counts as contact [N].
+        deflection: one sigma of the sensor, as the mount's bend [m].
     """
     half = 0.5 / (frequency_hz * cycle_s)
     kept = math.exp(-math.pi * damping / math.sqrt(1.0 - damping**2))
-    return ToolVibration(half, kept, force, stiffness / (2.0 * math.pi * frequency_hz) ** 2)
+    mass = stiffness / (2.0 * math.pi * frequency_hz) ** 2
+    return ToolVibration(half, kept, force, mass, stiffness, deflection * stiffness, cycle_s)
 
 
 class ContactState(Struct, frozen=True):
@@ -225,14 +240,39 @@ def is_lasting_contact(state: ContactState, vibration: ToolVibration) -> bool:
     return min(newest) > free + vibration.force or max(newest) < free - vibration.force
 
 
+def has_grown(state: ContactState, vibration: ToolVibration, speed: float) -> bool:
+    """Return whether a contact's force has grown as the tool advanced.
+
+    An object pushes back the more the farther the tool goes; a sensor that drifts does not. Not
+    decided where the growth would be lost in the noise: at a slow approach, or while the forces
+    reach back beyond a hold.
+
+    Args:
+        speed: programmed, of the tool towards the object [m/s].
+    """
+    steps = max(round(GROWTH_S / vibration.cycle_s), 1) if vibration.cycle_s else 1
+    expected = GROWTH_SHARE * vibration.stiffness * speed * steps * vibration.cycle_s
+    lacks_history = len(state.left) < steps or not is_observable(state, vibration)
+    if lacks_history or expected < LEFT_NOISE * vibration.force:
+        return True
+    low, high = without_vibration(state, vibration)
+    before_low, before_high = state.left[-steps]
+    return before_high - high >= expected or low - before_low >= expected
+
+
 def count_touches(
-    state: ContactState, vibration: ToolVibration, distance: float, near: float
+    state: ContactState,
+    vibration: ToolVibration,
+    distance: float,
+    near: float,
+    speed: float = 0.0,
 ) -> ContactState:
     """Return the state with its touches counted.
 
     Args:
         distance: programmed, to the object [m].
         near: distance before the object from which a force may be a contact [m].
+        speed: programmed, of the tool towards the object [m/s].
     """
     forces, free = state.forces, state.free
     # Beyond the estimated object too: the tool may search for it there.
@@ -242,6 +282,8 @@ def count_touches(
         # Smoothed: over a configured period a mode of another one has a mean.
         free = mean if free is None else free + (mean - free) / vibration.observed
     felt = touches_felt(state, vibration) if is_near else 0
+    if felt and not has_grown(state, vibration, speed):
+        felt = 0
     touches = state.touches + felt if felt else 0
     return replace(state, touches=touches, free=free, left=_observed(state, vibration))
 
