@@ -26,7 +26,9 @@ from linemate.daemon.config.settings import (
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
+from linemate.daemon.core.tracking.touch.tare import GRAVITY
 from linemate.protocol.command.preshared_keys import PresharedKey
+from linemate.protocol.sensors.wrench import LARGEST_FORCES
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +134,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     texts["task"] = task.text
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
     _refuse_wider_limits(document, config, task)
+    _refuse_unseen_overload(document, config)
     return LoadedConfig(
         path,
         config,
@@ -195,6 +198,26 @@ def _refuse_wider_limits(document: YamlDocument, config: Config, task: Task) -> 
             Complaint(("control", "limits", axis, name), what) for axis, name, what in wider
         ]
         raise FileError(document.lines(complaints))
+
+
+def _refuse_unseen_overload(document: YamlDocument, config: Config) -> None:
+    """Refuse an overload that the force-torque sensor cannot state next to the tool's weight.
+
+    Raises:
+        FileError: it would never be seen.
+    """
+    if config.force_torque is None:
+        return
+    device, tracking = config.force_torque.device, config.tracking
+    largest, weight = LARGEST_FORCES[device], tracking.payload.mass * GRAVITY
+    overload = tracking.tactile.overload_force
+    if overload + weight >= largest:
+        what = (
+            f"{overload:g} N and the tool's {weight:.0f} N are beyond what an axis of {device} "
+            f"can state, {largest:.0f} N: no overload would be seen. Set a smaller one."
+        )
+        path = ("tracking", "tactile", "overload_force")
+        raise FileError(document.lines([Complaint(path, what)]))
 
 
 def schema() -> dict[str, Any]:

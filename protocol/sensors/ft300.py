@@ -30,6 +30,7 @@ TORQUE_COUNTS_PER_NM = 1000.0
 _FRAME = struct.Struct("<2x6h2x")
 _COUNTS = struct.Struct("<6h")
 _MIN_COUNT, _MAX_COUNT = -32768, 32767
+LARGEST_FORCE = _MAX_COUNT / FORCE_COUNTS_PER_N  # that an axis can state [N]
 
 
 class Robotiq300Decoder(WrenchDecoder):

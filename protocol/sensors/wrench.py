@@ -3,6 +3,7 @@
 A further device is one file next to ``bota`` and one line in each table.
 """
 
+import math
 from typing import Protocol
 
 from linemate.protocol.sensors.bota import (
@@ -13,6 +14,7 @@ from linemate.protocol.sensors.bota import (
     bota_frame,
 )
 from linemate.protocol.sensors.ft300 import (
+    LARGEST_FORCE,
     Ft300Device,
     Ft300Host,
     Robotiq300Decoder,
@@ -23,6 +25,7 @@ from linemate.protocol.sensors.wrench_stream import HostOutput, WrenchDecoder, W
 __all__ = [
     "BAUD_RATES",
     "DEVICES",
+    "LARGEST_FORCES",
     "BotaDecoder",
     "BotaDevice",
     "BotaHost",
@@ -93,6 +96,8 @@ _DEVICES: dict[str, type[BotaDevice | Ft300Device]] = {
 DEVICES = tuple(_DECODERS)  # names in a configuration
 # Line speed as delivered [baud]; 8 data bits, no parity, 1 stop bit.
 BAUD_RATES = {"bota": 460800, "robotiq-ft300": 19200}
+# Largest force that an axis can state [N]: a larger one reads so.
+LARGEST_FORCES = {"bota": math.inf, "robotiq-ft300": LARGEST_FORCE}
 
 
 def _known(device: str) -> str:

@@ -68,7 +68,7 @@ command: {socket: command.sock, udp: {port: 0, keys: keys}}
 recording: {directory: .}
 realtime: {priority: 60, cpus: [1], lock_memory: true, timer_slack_ns: 1}
 watch: {healthy_cycles: 50}
-tracking: {classifier: rule, distance: {deviation: 1e-3}}
+tracking: {classifier: rule, distance: {deviation: 1e-3}, tactile: {overload_force: 300.0}}
 control: {horizon_s: 0.25}
 """
         )
@@ -80,6 +80,21 @@ control: {horizon_s: 0.25}
     assert [key.name for key in station.keys] == ["panel"]
     assert station.config.tracking.distance.deviation == 1e-3
     assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
+
+
+def test_an_overload_beyond_what_the_force_sensor_can_state_is_refused(write: Write) -> None:
+    text = "task: wheel.yaml\nrsi: {config: rsi_joints.xml}\n"
+    text += "force_torque: {url: virtual, device: robotiq-ft300}\ntracking:\n"
+    (line,) = errors(write(text + "  tactile: {overload_force: 350.0}\n"))
+    assert (
+        "tracking.tactile.overload_force: 350 N and the tool's 0 N are beyond what an axis" in line
+    )
+    assert "robotiq-ft300 can state, 328 N" in line
+    heavy = "  tactile: {overload_force: 300.0}\n  payload: {mass: 3.0}\n"
+    (line,) = errors(write(text + heavy))
+    assert "300 N and the tool's 29 N" in line
+    config.load(write(text + "  tactile: {overload_force: 300.0}\n"))
+    config.load(write(text.replace("robotiq-ft300", "bota") + "  distance: {deviation: 4e-4}\n"))
 
 
 @pytest.mark.parametrize("family", ["rsi", "egm", "fanuc"])
