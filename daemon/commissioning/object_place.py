@@ -57,8 +57,6 @@ def find_place(
 
     Args:
         recordings: postures of each recording; a recording has one object.
-        camera: in the tcp.
-        nominal: the configured object.
     """
     C, origin = rotations.matrix(nominal.quaternion), np.array(nominal.position)
     rows = [_seen(each, camera, C, origin) for each in recordings]

@@ -55,7 +55,7 @@ class OpcLineController(LineController):
         return ({} if is_done else None), why
 
     def _do(self, app: App, now_ns: int, method: str | None, *arguments: Any) -> Any:
-        """Return what the client got; the server asks the daemon meanwhile."""
+        """Return what the client got, and answer the requests of the server until then."""
         self._orders.send((method, arguments))
         while True:
             ready = multiprocessing.connection.wait([self._orders, self._requests])

@@ -64,7 +64,7 @@ def main(orders: Connection, requests: Connection, parent: int) -> None:
 
     Args:
         orders: of the line: a method with its arguments, or None for the variables.
-        requests: to the daemon.
+        requests: operation and arguments for the daemon; its result, or None and the reason.
         parent: process without which this one ends.
     """
     die_with(parent)
