@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from docs.make import contact_results, lag_results, shift_results, world_results
+from linemate.simulators.judge.statistics import seed_text
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs/results"
@@ -49,6 +50,7 @@ def campaign(raw: Result) -> Result:
         runs = [run for run in raw["runs"] if run["variant"] == variant]
         counts[variant] = {
             "runs": len(runs),
+            "seeds": seed_text(run["seed"] for run in runs),
             "assembled": sum(run["assembled"] for run in runs),
             "within_limits": sum(run["within_limits"] for run in runs),
         }

@@ -109,14 +109,16 @@ BARS: tuple[tuple[str, str, str], ...] = (
 
 
 def condensed(raw: Result) -> Result:
-    """Return each row's summary, and why runs were not assembled, each reason once."""
+    """Return each row's summary, and each run that was not assembled."""
     return {
         name: {
             "what": row["what"],
             "summary": row["summary"],
-            "reasons": list(dict.fromkeys(
-                run["reason"] for run in row["runs"] if run["outcome"] != "assembled"
-            ))[:5],
+            "not_assembled": [
+                {key: run[key] for key in ("seed", "outcome", "reason")}
+                for run in row["runs"]
+                if run["outcome"] != "assembled"
+            ],
         }
         for name, row in raw["rows"].items()
     }  # fmt: skip

@@ -9,7 +9,7 @@ Invariants:
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from scipy.stats import beta, binom
@@ -53,15 +53,16 @@ def summarise(results: Sequence[Mapping[str, Any]]) -> dict[str, Figure]:
 
     ``assembled`` and ``within_limits`` are shares; their worst is 0 if any run failed.
     """
-    by_figure: dict[str, list[float]] = {}
+    by_figure: dict[str, dict[int, float]] = {}
     for result in results:
         for name, value in figures(result):
-            by_figure.setdefault(name, []).append(math.inf if value is None else value)
+            by_seed = by_figure.setdefault(name, {})
+            by_seed[result["seed"]] = math.inf if value is None else value
     summary = {
         name: share([bool(result[name]) for result in results])
         for name in ("assembled", "within_limits")
     }
-    return summary | {name: describe(values) for name, values in sorted(by_figure.items())}
+    return summary | {name: describe_seeds(values) for name, values in sorted(by_figure.items())}
 
 
 def describe(values: Sequence[float]) -> Figure:
@@ -73,6 +74,23 @@ def describe(values: Sequence[float]) -> Figure:
         "ci95": [_finite(low), _finite(high)],
         "n": len(values),
     }
+
+
+def describe_seeds(by_seed: Mapping[int, float]) -> Figure:
+    """Return ``describe`` of one value a seed, and the seed of the worst."""
+    worst = max(by_seed, key=lambda seed: by_seed[seed])
+    return describe(list(by_seed.values())) | {"worst_seed": worst}
+
+
+def seed_text(seeds: Iterable[int]) -> str:
+    """Return seeds in order, consecutive ones as a range, e.g. ``0..39,1000``."""
+    ranges: list[list[int]] = []
+    for seed in sorted(set(seeds)):
+        if ranges and seed == ranges[-1][-1] + 1:
+            ranges[-1][1:] = [seed]
+        else:
+            ranges.append([seed])
+    return ",".join("..".join(map(str, each)) for each in ranges)
 
 
 def share(flags: Sequence[bool]) -> Figure:

@@ -22,9 +22,10 @@ def raw(*names: str) -> dict[str, Any]:
     return {"version": 1, "rows": dict.fromkeys(names, row)}
 
 
-def test_a_condensed_row_has_its_summary_and_each_reason_once() -> None:
+def test_a_condensed_row_has_its_summary_and_each_run_that_was_not_assembled() -> None:
     figures = world_results.condensed(raw("nominal"))["nominal"]
-    assert figures["reasons"] == ["blind"]
+    assert figures["not_assembled"] == [{"seed": 1, "outcome": "held", "reason": "blind"}]
+    assert figures["summary"]["seeds"] == "0..1"
     assert figures["summary"]["assembled"] == 1
     assert "runs" not in figures
 

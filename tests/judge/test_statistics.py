@@ -63,3 +63,10 @@ def test_a_share_of_all_is_not_certain() -> None:
     assert whole["ci95"] == [pytest.approx(0.025 ** (1 / 40), abs=1e-6), 1.0]
     assert statistics.share([True, False])["worst"] == 0.0
     assert statistics.share([False] * 6)["ci95"][0] == 0.0
+
+
+def test_seeds_are_written_as_ranges_and_the_worst_value_names_its_seed() -> None:
+    assert statistics.seed_text([3, 0, 1, 1, 7]) == "0..1,3,7"
+    assert statistics.seed_text([]) == ""
+    described = statistics.describe_seeds({4: 0.2, 9: math.inf, 2: 0.3})
+    assert (described["worst_seed"], described["worst"], described["n"]) == (9, None, 3)

@@ -80,7 +80,7 @@ def test_a_campaign_prints_runs_and_a_summary_for_each_variant(
     assert [run["seed"] for run in printed["runs"]] == [5, 6, 5, 6]
     assert set(printed["summary"]) == {"default", "no-damping"}
     figure = printed["summary"]["default"]["limits.violations"]
-    assert set(figure) == {"median", "worst", "ci95", "n"}
+    assert set(figure) == {"median", "worst", "worst_seed", "ci95", "n"}
 
 
 def test_the_table_tells_every_variant(capsys: pytest.CaptureFixture[str]) -> None:

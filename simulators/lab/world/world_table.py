@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from linemate.simulators.judge.statistics import describe
+from linemate.simulators.judge.statistics import describe_seeds, seed_text
 from linemate.simulators.judge.table import aligned
 
 OUTCOMES = ("assembled", "held", "retreated", "collision", "fault")
@@ -40,14 +40,23 @@ Run = Mapping[str, Any]
 
 
 def summarise(runs: Sequence[Run]) -> dict[str, Any]:
-    """Return outcomes, spread figures and sums of the runs of one row."""
-    summary: dict[str, Any] = {"runs": len(runs)}
+    """Return seeds, outcomes, spread figures and sums of the runs of one row.
+
+    A figure names the seed of its worst run, a sum the seeds that it is not 0 of.
+    """
+    seeds = seed_text(run["seed"] for run in runs)
+    summary: dict[str, Any] = {"runs": len(runs), "seeds": seeds}
     summary |= {name: sum(run["outcome"] == name for run in runs) for name in OUTCOMES}
     for name, _ in SPREAD:
-        values = [run[name] for run in runs if run[name] is not None]
-        values += [math.inf] * (name == "start_s" and len(values) < len(runs))
-        summary[name] = {**describe(values), "n": len(values)} if values else None
-    return summary | {name: sum(run[name] for run in runs) for name, _ in SUMS}
+        by_seed = {run["seed"]: run[name] for run in runs}
+        if name == "start_s":
+            by_seed = {seed: math.inf if s is None else s for seed, s in by_seed.items()}
+        by_seed = {seed: value for seed, value in by_seed.items() if value is not None}
+        summary[name] = describe_seeds(by_seed) if by_seed else None
+    for name, _ in SUMS:
+        summary[name] = sum(run[name] for run in runs)
+        summary[f"{name}_seeds"] = seed_text(run["seed"] for run in runs if run[name])
+    return summary
 
 
 def text(whole: Mapping[str, Any]) -> str:

@@ -33,6 +33,17 @@ def test_outcomes_are_counted_and_reasons_printed() -> None:
     assert "4.65 (9)" in printed
 
 
+def test_a_row_names_its_seeds_and_those_of_its_worst_runs() -> None:
+    runs = [run(0), run(1, impact_mm=0.9), run(2, false_confirmed=3), run(7, impact_mm=None)]
+    summary = world_table.summarise(runs)
+    assert summary["seeds"] == "0..2,7"
+    assert summary["impact_mm"]["worst_seed"] == 1
+    assert summary["impact_mm"]["n"] == 3
+    assert summary["false_confirmed_seeds"] == "2"
+    assert summary["missed_seeds"] == ""
+    assert world_table.summarise([run(4, start_s=None), run(5)])["start_s"]["worst_seed"] == 4
+
+
 def test_a_figure_that_no_run_has_is_a_dash() -> None:
     assert world_table.spread(world_table.summarise([run(0, impact_mm=None)])["impact_mm"]) == "-"
 
