@@ -44,6 +44,7 @@ RIPPLE_FACTORS = (0.9, 1.1)  # range of the ripple's frequency over the configur
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
+DRIVEN_WALK = 0.3  # random walk of a sway that chain and drive excite, as a share [1/sqrt(s)]
 NO_SWAY = (0.0,) * 6  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
@@ -253,7 +254,10 @@ class BankModel:
         if state.sway_omega:
             sway, quadrature = float(state.x[SWAY]), float(state.x[SWAY_QUADRATURE])
             size = self.sway.least + math.hypot(sway, quadrature)
-            walk, pace = (self.sway.walk * size) ** 2 * dt, self.sway.pace**2 * dt
+            share, pace = self.sway.walk, self.sway.pace**2 * dt
+            if self.holds_pace(state) and state.guide is None:
+                share, pace = max(share, DRIVEN_WALK), 0.0
+            walk = (share * size) ** 2 * dt
             if state.contact:
                 driven = self.sway.driven**2 * dt
         known = [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0]
@@ -293,6 +297,16 @@ class BankModel:
         if state.sway_omega:
             self._set_sway(F, state, dt)
         return F
+
+    def holds_pace(self, state: BankState) -> bool:
+        """Return whether the sway's frequency is held: it is identified, and the conveyor moves.
+
+        Chain and drive of a running conveyor drive the body at frequencies of their own, and a ramp
+        is not quite what the model has. A body on a conveyor that stands sways freely. In contact
+        the mount gives it another frequency.
+        """
+        is_free = state.motion is Motion.STANDING or state.contact
+        return self.sway.frequency_hz > 0.0 and not is_free
 
     def sway_pole(self, state: BankState) -> complex:
         """Return the pole of the sway [1/s]."""
