@@ -42,7 +42,10 @@ LOWEST_HZ = SwaySettings().range_hz[0]  # of the slowest sway of which a daemon 
 GRID = 0.03  # of the frequencies that are tried, as a share
 DAMPINGS = (0.005, 0.02, 0.06)  # that are tried
 MOST_DAMPING = 0.3
-BEFORE_S, AFTER_S = 1.5, 6.0  # images around a ramp that are used
+# Images around a ramp that are used. A free sway of 1 Hz and 1 % damping lasts 16 s, at the body's
+# own frequency; before a stop a chain drives it at another one.
+BEFORE_S, AFTER_S = 1.5, 12.0
+SEEN_S = 6.0  # after a ramp, in which images have to show the body: what it excites fades
 LEAST_IMAGES = 40
 SHARED = 3  # terms of all windows: gain, scale and delay
 OWN = 4  # terms of each window: offset, drift, free sway
@@ -169,7 +172,7 @@ def _windows(scene: SceneFit, view: Views, moved: UnitMotion, camera: Camera) ->
     windows = []
     for begin, end in spans:
         inside = (t > max(begin, moved.times[0])) & (t < min(end, moved.times[-1]))
-        if inside.sum() >= LEAST_IMAGES:
+        if np.sum(inside & (t < end - AFTER_S + SEEN_S)) >= LEAST_IMAGES:
             windows.append(_Window(t[inside], body[inside], sigma[inside], moved))
     return windows
 

@@ -20,6 +20,7 @@ from linemate.daemon.identification.trace import Images, Trace
 SPEED = 0.106
 RAMPS = ((6.0, -0.104), (14.0, 0.104), (22.0, -0.104))
 SECONDS = 30.0
+PITCH = 0.1  # of the conveyor's chain [m]
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Body:
     lateral: float = 0.4e-3
     stamp_error: float = 0.004
     ramps: tuple[tuple[float, float], ...] = RAMPS
+    chain: float = 0.0  # amplitude of the error of the conveyor's chain [m]
     seed: int = 0
 
 
@@ -42,15 +44,17 @@ def acceleration(body: Body, t: float) -> float:
 def moved(body: Body, times: Array) -> tuple[Array, Array]:
     """Position of the unit and sway of the body (n,) at times, integrated step by step."""
     w = 2.0 * math.pi * body.frequency_hz
+    per_metre = 2.0 * math.pi / PITCH
 
     def rates(t: float, y: Array) -> list[float]:
         a = acceleration(body, t)
+        a -= body.chain * (per_metre * y[1]) ** 2 * math.sin(per_metre * y[0])
         force = -body.gain * a - 2.0 * body.damping * w * y[3] - w * w * y[2]
-        return [y[1], a, y[3], force]
+        return [y[1], acceleration(body, t), y[3], force]
 
     found = solve_ivp(rates, (0.0, SECONDS + 1.0), (0.0, SPEED, 0.0, 0.0),
                       max_step=0.02, dense_output=True).sol(times)  # fmt: skip
-    return found[0], found[2]
+    return found[0] + body.chain * np.sin(per_metre * found[0]), found[2]
 
 
 def recorded(body: Body) -> Trace:
@@ -112,6 +116,14 @@ def test_another_sway_than_the_planted_one_is_noticed() -> None:
     result = identified(recorded(Body()))
     assert not within(result.frequency_hz, 1.3)
     assert not within(result.gain, 0.4)
+
+
+def test_a_chain_that_drives_the_body_before_the_stop_hardly_changes_the_frequency() -> None:
+    body = Body(lateral=1e-3, chain=0.2e-3, damping=0.01, ramps=((8.0, -0.104),))
+    result = identified(recorded(body))
+    assert isinstance(result.frequency_hz, Estimate)
+    assert result.frequency_hz.value == pytest.approx(body.frequency_hz, rel=0.007)
+    assert result.frequency_hz.deviation < 0.0067
 
 
 def test_a_stop_that_shows_no_sway_bounds_its_gain() -> None:
