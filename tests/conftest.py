@@ -1,6 +1,7 @@
 """What holds for every test: the shipped task, compiled once, and some steps."""
 
 import signal
+import zlib
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -28,6 +29,23 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 CYCLE_NS = 12_000_000
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--share", type=int, default=1, metavar="N", help="of rows, one in N; 1: all")
+    parser.addoption("--share-of", default="", metavar="TEXT", help="another text, other rows")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out most of the whole runs that are marked as rows; which ones, the text says."""
+    share, text = config.getoption("--share"), config.getoption("--share-of")
+    kept, left_out = [], []
+    for item in items:
+        is_one = zlib.crc32(f"{text} {item.name}".encode()) % share == 0
+        (kept if is_one or item.get_closest_marker("row") is None else left_out).append(item)
+    config.hook.pytest_deselected(items=left_out)
+    items[:] = kept
+
 
 # How long an example takes says something of the machine's other work, not of the program.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -19,6 +19,8 @@ from linemate.simulators.plants.contact_plant import WHEEL_RELEASED, ContactPlan
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 
+pytestmark = pytest.mark.row
+
 FREE_S, SLOW_S, TOUCH_S, HELD_S = 0.15, 0.6, 1.05, 1.45
 """Before the last approach, at its touch speed, at the touch, in contact: scenario time [s]."""
 ALWAYS = (-1.4, 3.6)

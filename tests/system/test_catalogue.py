@@ -17,6 +17,8 @@ from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 
+pytestmark = pytest.mark.row
+
 SENSORS = ("distance", "camera", "force_torque")
 ALWAYS = -0.95, 4.55
 CYCLE_S = FaultPlan(0).cycle_s

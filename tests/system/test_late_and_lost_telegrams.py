@@ -17,6 +17,8 @@ from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
 
+pytestmark = pytest.mark.row
+
 LED = frozenset({State.TRACK, State.CONTACT})
 MOST_AHEAD = 2
 """Steps more or less than cycles while the tool is led [cycles]."""
