@@ -547,7 +547,12 @@ def update_contact(
     if contact_state.forces:
         near = contact.reach(tracker.task.guard.clearance)
         contact_state = contact.count_touches(
-            contact_state, tracker.vibration, before.distance, near, speed
+            contact_state,
+            tracker.vibration,
+            before.distance,
+            near,
+            speed,
+            is_new=report.force is not None,
         )
     else:
         # With a force sensor the watch ends TRACK long before: there is none in this cell.

@@ -43,10 +43,25 @@ def first_touch(
     for k, force in enumerate(forces):
         acceleration = accelerations[k] if accelerations else 0.0
         contact_state = record_force(contact_state, mode, force, acceleration, held=k == held)
-        contact_state = count_touches(contact_state, mode, distance, NEAR)
+        contact_state = count_touches(contact_state, mode, distance, NEAR, is_new=force is not None)
         if contact_state.touches >= 2:
             return k
     return None
+
+
+def test_one_sample_that_several_steps_have_is_one_touch() -> None:
+    """A sensor of 250 Hz in a cycle of 1 ms: every fourth step has a sample."""
+    free = [0.0 if k % 4 == 0 else None for k in range(800)]
+    assert first_touch(0.001, [*free, -40.0, None, None, None, 0.0, None]) is None
+    assert first_touch(0.001, [*free, -40.0, None, None, None, -40.0, None]) == 804
+
+
+def test_an_acceleration_of_a_few_milliseconds_that_is_planned_alone_is_no_contact() -> None:
+    """A plan that loses 9 mm/s within 6 ms; the servos round it off to 3 N."""
+    steps, begin = 900, 800
+    planned = [-1.42 if begin <= k < begin + 6 else 0.0 for k in range(steps)]
+    felt = [3.0 * math.sin(0.075 * (k - begin)) if k >= begin else 0.0 for k in range(steps)]
+    assert first_touch(0.001, list(felt), accelerations=planned) is None
 
 
 @pytest.mark.parametrize("cycle_s", [0.012, 0.004, 0.001])

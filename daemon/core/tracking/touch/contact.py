@@ -29,6 +29,7 @@ MARGIN = 0.003  # or this much before the approach is slow: an object that is ne
 # axis may be wrong, and the tool must not press on.
 PULL = 3.0
 
+MEASURED = 0.5  # share of a contact's force that the sensor itself must show
 LEFT_NOISE = 0.5  # share of a contact's force: less that is left is noise
 GROWTH_S = 0.024  # over which the force of a touch must have grown [s]
 GROWTH_SHARE = 0.5  # of what the mount alone gives for the tool's advance in that time
@@ -120,6 +121,7 @@ class ContactState(Struct, frozen=True):
 
     Attributes:
         forces: along its axis, the newest last, one a step, without those that accelerate it [N].
+        braking: planned forces that accelerate it, in each of ``forces`` [N]; empty for none.
         calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force; one in whose samples each shows it counts
             as a touch a sample.
@@ -136,6 +138,7 @@ class ContactState(Struct, frozen=True):
     free: float | None = None
     samples: tuple[float, ...] = ()
     left: tuple[tuple[float, float], ...] = ()
+    braking: tuple[float, ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -161,12 +164,16 @@ def record_force(
     """
     forces = state.forces
     newest = forces[-1] if forces else None
+    brake = state.braking[-1] if state.braking else 0.0
     if force is not None:
-        newest = force + vibration.mass * acceleration
+        brake = vibration.mass * acceleration
+        newest = force + brake
+    braking = state.braking
     if newest is not None:
         forces = (*forces, newest)[-vibration.memory :]
+        braking = (*braking, brake)[-vibration.memory :]
     calm = 0 if held else min(state.calm + 1, vibration.memory)
-    return replace(state, forces=forces, calm=calm, samples=samples)
+    return replace(state, forces=forces, calm=calm, samples=samples, braking=braking)
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
@@ -177,14 +184,23 @@ def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
 def is_contact(state: ContactState, vibration: ToolVibration, least: float | None = None) -> bool:
     """Return whether the force of the tool is a contact.
 
-    Not decided while the forces reach back beyond a hold: the tool did not vibrate before it.
+    Without the planned acceleration of the tool it must show as well, by ``MEASURED`` of the force:
+    the servos round off what a plan does within a few milliseconds. Not decided while the forces
+    reach back beyond a hold: the tool did not vibrate before it.
 
     Args:
         least: what counts as contact instead of the force in ``vibration`` [N].
     """
     least = vibration.force if least is None else least
-    if not is_observable(state, vibration):
+    if not is_observable(state, vibration) or not _shows_contact(state, vibration, least):
         return False
+    if len(state.braking) != len(state.forces):
+        return True
+    measured = tuple([f - b for f, b in zip(state.forces, state.braking, strict=True)])
+    return _shows_contact(replace(state, forces=measured), vibration, MEASURED * least)
+
+
+def _shows_contact(state: ContactState, vibration: ToolVibration, least: float) -> bool:
     low, high = without_vibration(state, vibration)
     push, pull = remaining(state, vibration)
     return high < -least - pull or low > PULL * least + push
@@ -266,13 +282,18 @@ def count_touches(
     distance: float,
     near: float,
     speed: float = 0.0,
+    *,
+    is_new: bool = True,
 ) -> ContactState:
     """Return the state with its touches counted.
+
+    A step without a sample has the force of the one before, which counts once.
 
     Args:
         distance: programmed, to the object [m].
         near: distance before the object from which a force may be a contact [m].
         speed: programmed, of the tool towards the object [m/s].
+        is_new: a force was measured since the last step.
     """
     forces, free = state.forces, state.free
     # Beyond the estimated object too: the tool may search for it there.
@@ -284,7 +305,7 @@ def count_touches(
     felt = touches_felt(state, vibration) if is_near else 0
     if felt and not has_grown(state, vibration, speed):
         felt = 0
-    touches = state.touches + felt if felt else 0
+    touches = state.touches + felt * is_new if felt else 0
     return replace(state, touches=touches, free=free, left=_observed(state, vibration))
 
 
