@@ -214,7 +214,7 @@ class Exchange:
         # The last telegram that a later one confirmed, and the steps made since.
         self._anchor_counter = 0
         self._anchor_ns = 0
-        self._steps_made = 0
+        self._steps_made = self._jumped = 0
         self._delta: int | None = None
         self._missed: frozenset[int] = frozenset()
         self._line = _TelegramLine()
@@ -274,9 +274,22 @@ class Exchange:
 
     def on_missing(self) -> None:
         """Note that the clock made a step because no telegram came in time."""
+        self._undo_jump()
         if self._state is not ExchangeState.IDLE:
             self._overdue_total += 1
             self._steps_made = min(self._steps_made + 1, WINDOW)
+
+    def note_jump(self, steps: int) -> None:
+        """Note that steps of the last decision were not made: the time for them has not passed.
+
+        The counter has jumped if the next telegram goes on from there. Else it was flipped, and
+        the cycles of these steps are still to come.
+        """
+        self._jumped = steps
+
+    def _undo_jump(self) -> None:
+        self._steps_made -= self._jumped
+        self._jumped = 0
 
     def on_telegram(self, counter: int, stamp_ns: int, peer: Hashable = None) -> TelegramDecision:
         """Return the decision on one telegram that arrived at ``stamp_ns``.
@@ -285,6 +298,9 @@ class Exchange:
             peer: its sender; another value is another controller.
         """
         event = self._classify(counter, stamp_ns, peer)
+        if event is not TelegramEvent.NEXT:
+            self._undo_jump()
+        self._jumped = 0
         transition = TABLE[self._state][event]
         missed, steps = self._apply(event, counter, stamp_ns, peer)
         self._state = transition.state

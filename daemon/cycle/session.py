@@ -187,6 +187,19 @@ class Session:
         bad = 0 if robot.delay is None or self._delay is None else robot.delay - self._delay
         return missed > 0 and bad not in {missed, missed + 1}
 
+    def jumped(self, robot: RobotSample, missed: int) -> int:
+        """Return how many missed cycles the counter alone shows: it has jumped, or was flipped.
+
+        Such a cycle takes no time, and the controller has not counted it as bad.
+        """
+        program = self._program
+        if program is None or self._is_interrupted or robot.delay is None or self._delay is None:
+            return 0
+        if robot.delay > self._delay:
+            return 0
+        passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
+        return min(max(missed + 1 - round(passed_s / self._cycle_s), 0), missed)
+
     def prove(
         self,
         robot: RobotSample,

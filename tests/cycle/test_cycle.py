@@ -120,6 +120,39 @@ def test_a_gap_makes_the_steps_that_were_missed(station: Station, missing: int) 
     assert station.cycle.status()["telegrams"]["missed"] == missing
 
 
+@pytest.mark.parametrize("ahead", [1, 3])
+def test_a_counter_that_jumps_makes_no_step_for_which_no_time_has_passed(
+    station: Station, ahead: int
+) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    station.ipoc += ahead * station.step
+    station.run(3)
+    log = station.cycle.take_log()
+    assert [entry.counter is None for entry in log] == [False] * 3
+    assert [entry.inputs.k for entry in log] == [20, 21, 22]
+    assert np.diff([entry.inputs.stamp_ns for entry in log]).tolist() == [PERIOD] * 2
+
+
+@pytest.mark.parametrize("ahead", [1, 3])
+def test_a_flipped_counter_leaves_as_many_steps_as_cycles_have_passed(
+    station: Station, ahead: int
+) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    flipped = station.telegram(ipoc=station.ipoc + ahead * station.step)
+    assert station.cycle.on_telegram(flipped, station.stamp_ns) is not None
+    for _ in range(ahead):
+        station.next()
+        station.delay += 1
+        if station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None:
+            station.cycle.on_missing(station.stamp_ns)
+    station.next()
+    station.delay += 1
+    station.exchange()
+    assert [entry.inputs.k for entry in station.cycle.take_log()] == [*range(20, 22 + ahead)]
+
+
 def test_a_long_gap_is_caught_up_with_in_bounded_time(station: Station) -> None:
     station.run(20)
     station.cycle.take_log()
