@@ -17,7 +17,7 @@ CURVE, TOUCH = "lag-curve", "cycles-touch"
 COMMANDS = {
     CURVE: f"{COMMAND} --curve --touch --seeds 4",
     TOUCH: f"{COMMAND} --cycles --touch --seeds 4",
-    "lag": f"{COMMAND} --seeds 4",
+    "lag": f"{COMMAND} --seeds 40",
 }
 FAMILIES = {
     "campaign": "KUKA RSI, 12 ms",
