@@ -55,7 +55,7 @@ def declared(*extras: str) -> set[str]:
 def test_every_package_that_is_imported_is_declared(folder: str) -> None:
     extras = {
         "daemon": ["fleet", "foxglove", "plc", "ros2"],
-        "simulators": ["cluster", "demo", "mujoco"],
+        "simulators": ["cluster", "demo", "mujoco", "plc"],
     }.get(folder, [])
     known = declared(*extras)
     missing = [(package, path) for package, path in imported(folder) if package not in known]
