@@ -69,6 +69,25 @@ def running(step: int = STEP) -> Feed:
     return feed
 
 
+def test_a_counter_that_jumped_goes_on_from_there() -> None:
+    feed = running()
+    gap = feed(5, 8)
+    assert (gap.missed, gap.steps) == (3, 4)
+    feed.exchange.note_jump(3)
+    normal = feed(6, 9)
+    assert (normal.kind, normal.missed, normal.steps) == (TelegramKind.NORMAL, 0, 1)
+
+
+@pytest.mark.parametrize(("unmade", "made"), [(3, 1), (0, 0)])
+def test_a_flipped_counter_gets_its_steps_as_their_cycles_pass(unmade: int, made: int) -> None:
+    feed = running()
+    feed(5, 8)
+    feed.exchange.note_jump(unmade)
+    for _ in (6, 7, 8):
+        feed.exchange.on_missing()
+    assert feed(9, 9).steps == made
+
+
 # --- the daemon's role ---------------------------------------------------------------------
 
 
