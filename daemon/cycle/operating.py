@@ -237,10 +237,6 @@ class Operating:
         )
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
         lost = situation.last_approach and samples.distance_health.reason is not None
-        gap_m = following_error.gap_after_stop(last, period) if state in NEAR else None
-        # A touch that no decision can avoid must be detected: in a retreat the clamp would
-        # close unnoticed, and no force would show that the object stops. Time-outs still act.
-        lost = lost and (gap_m is None or gap_m > 0.0)
         contradicted = contradicted or (state is State.TRACK and lost)
         return watch.Facts(
             stamp_ns=stamp_ns,
@@ -253,7 +249,7 @@ class Operating:
             wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
-            gap_m=gap_m,
+            gap_m=following_error.gap_after_stop(last, period) if state in NEAR else None,
             following_error=situation.following_error is not None,
             ready=last.ready is None and not situation.settling,
             object_left=last.object_left,
