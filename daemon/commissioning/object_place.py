@@ -63,7 +63,7 @@ def find_place(
     seen = np.array([row for row in rows if row is not None])
     if len(seen) < LEAST_OBJECTS:
         return Refusal(
-            f"{len(seen)} objects seen by a robot at rest, at least {LEAST_OBJECTS} are needed. "
+            f"objects seen by a robot at rest: {len(seen)}, at least {LEAST_OBJECTS} are needed. "
             "Record each object by itself, and give all recordings"
         )
     off, spread = seen.mean(axis=0), seen.std(axis=0, ddof=1)

@@ -41,7 +41,7 @@ def test_one_object_or_one_seen_twice_says_nothing_of_the_next() -> None:
     one = hanging((0.03, 0.0, 0.0), (0.0, 0.0, 0.0))
     found = find_place([[one, one, one], [], []], CAMERA, NOMINAL)
     assert isinstance(found, Refusal)
-    assert found.reason.startswith(f"1 objects seen by a robot at rest, at least {LEAST_OBJECTS}")
+    assert found.reason.startswith(f"objects seen by a robot at rest: 1, at least {LEAST_OBJECTS}")
 
 
 @pytest.mark.parametrize(

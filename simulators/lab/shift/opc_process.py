@@ -28,7 +28,6 @@ from linemate.simulators.harness.processes import die_with
 
 USER: Final = "line"
 READ: Final = ("Connected", "State", "Held", "Fault")
-NO_READING: Final = float("nan")  # of the distance: the newest one counts
 
 
 class PipeClient:

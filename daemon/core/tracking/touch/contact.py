@@ -121,7 +121,7 @@ class ContactState(Struct, frozen=True):
 
     Attributes:
         forces: along its axis, the newest last, one a step, without those that accelerate it [N].
-        braking: planned forces that accelerate it, in each of ``forces`` [N]; empty for none.
+        inertial: planned, left out of each of ``forces`` [N]; empty for none.
         calm: steps since the robot last held against its command, as far as memory goes.
         touches: steps in a row with a contact's force; one in whose samples each shows it counts
             as a touch a sample.
@@ -138,7 +138,7 @@ class ContactState(Struct, frozen=True):
     free: float | None = None
     samples: tuple[float, ...] = ()
     left: tuple[tuple[float, float], ...] = ()
-    braking: tuple[float, ...] = ()
+    inertial: tuple[float, ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -164,16 +164,16 @@ def record_force(
     """
     forces = state.forces
     newest = forces[-1] if forces else None
-    brake = state.braking[-1] if state.braking else 0.0
+    inertia = state.inertial[-1] if state.inertial else 0.0
     if force is not None:
-        brake = vibration.mass * acceleration
-        newest = force + brake
-    braking = state.braking
+        inertia = vibration.mass * acceleration
+        newest = force + inertia
+    inertial = state.inertial
     if newest is not None:
         forces = (*forces, newest)[-vibration.memory :]
-        braking = (*braking, brake)[-vibration.memory :]
+        inertial = (*inertial, inertia)[-vibration.memory :]
     calm = 0 if held else min(state.calm + 1, vibration.memory)
-    return replace(state, forces=forces, calm=calm, samples=samples, braking=braking)
+    return replace(state, forces=forces, calm=calm, samples=samples, inertial=inertial)
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:
@@ -194,9 +194,9 @@ def is_contact(state: ContactState, vibration: ToolVibration, least: float | Non
     least = vibration.force if least is None else least
     if not is_observable(state, vibration) or not _shows_contact(state, vibration, least):
         return False
-    if len(state.braking) != len(state.forces):
+    if len(state.inertial) != len(state.forces):
         return True
-    measured = tuple([f - b for f, b in zip(state.forces, state.braking, strict=True)])
+    measured = tuple([f - i for f, i in zip(state.forces, state.inertial, strict=True)])
     return _shows_contact(replace(state, forces=measured), vibration, MEASURED * least)
 
 
@@ -305,7 +305,8 @@ def count_touches(
     felt = touches_felt(state, vibration) if is_near else 0
     if felt and not has_grown(state, vibration, speed):
         felt = 0
-    touches = state.touches + felt * is_new if felt else 0
+    newly = felt if is_new else 0
+    touches = state.touches + newly if felt else 0
     return replace(state, touches=touches, free=free, left=_observed(state, vibration))
 
 
