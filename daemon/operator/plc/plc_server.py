@@ -10,7 +10,7 @@ import asyncio
 import contextlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from asyncua import Server, ua
 from asyncua.crypto.permission_rules import SimpleRoleRuleset, User, UserRole
@@ -21,7 +21,7 @@ from linemate.daemon.operator.plc.plc_users import PlcUser
 from linemate.daemon.operator.plc.plc_values import PlcValues, values_of
 from linemate.daemon.operator.plc.robotics_nodes import RoboticsNodes
 from linemate.daemon.operator.plc.robotics_values import robotics_values
-from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
+from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.protocol.command.frame_codec import CommandError, Role
 
 NAMESPACE: Final = "urn:linemate:station"
@@ -52,6 +52,18 @@ _TYPES: Final = {
 _FAILURES: Final = (NoAnswerError, RefusedError, CommandError, OSError)
 _CALL: Final = ua.NodeId(ua.ObjectIds.CallRequest_Encoding_DefaultBinary)
 _WRITE: Final = ua.NodeId(ua.ObjectIds.WriteRequest_Encoding_DefaultBinary)
+
+
+class DaemonClient(Protocol):
+    """What the server needs of a client of the daemon; ``transport.client`` has one."""
+
+    def call(self, op: str, params: Mapping[str, Any], timeout_s: float) -> dict[str, Any]:
+        """Return the daemon's answer, or raise ``RefusedError`` or ``NoAnswerError``."""
+        ...
+
+    def close(self) -> None:
+        """End the connection."""
+        ...
 
 
 class PlcUserManager(UserManager):  # type: ignore[misc]
@@ -104,7 +116,7 @@ class PlcServer:
         self,
         endpoint: str,
         users: Mapping[str, PlcUser],
-        connect: Callable[[], Client],
+        connect: Callable[[], DaemonClient],
         poll_s: float | None = POLL_S,
     ):
         """Prepare the server; ``run`` opens the port.
@@ -117,7 +129,7 @@ class PlcServer:
         self._poll_s = poll_s
         self.values = PlcValues()
         self._endpoint, self._users, self._connect = endpoint, users, connect
-        self._client: Client | None = None
+        self._client: DaemonClient | None = None
         self._lock = asyncio.Lock()
         self._nodes: dict[str, Any] = {}
         self._robotics = RoboticsNodes()

@@ -73,7 +73,7 @@ def read_users(path: Path) -> dict[str, PlcUser]:
     for number, line in enumerate(lines, 1):
         if not line.strip() or line.startswith("#"):
             continue
-        user = _parsed(line)
+        user = parse_line(line)
         if user is None or user.name in users or len(users) >= MOST_USERS:
             raise KeyFileError(f"{path}:{number}: should be a new NAME ROLE SALT HASH")
         users[user.name] = user
@@ -89,7 +89,8 @@ def role_of(users: Mapping[str, PlcUser], name: str, password: str) -> Role | No
     return user.role if is_right and user is not _NO_ONE else None
 
 
-def _parsed(line: str) -> PlcUser | None:
+def parse_line(line: str) -> PlcUser | None:
+    """Return the user of a line, None for one that is malformed."""
     try:
         name, role, salt, digest = line.split()
         return PlcUser(name, Role(role), bytes.fromhex(salt), bytes.fromhex(digest))

@@ -21,7 +21,6 @@ from asyncua import Client
 
 from linemate.daemon.operator.plc import plc_server, plc_users
 from linemate.daemon.operator.plc.plc_server import PlcServer
-from linemate.daemon.operator.plc.plc_users import PlcUser
 from linemate.daemon.transport.client import NoAnswerError, RefusedError
 from linemate.protocol.command.frame_codec import Role
 from linemate.simulators.harness.processes import die_with
@@ -73,10 +72,10 @@ def main(orders: Connection, requests: Connection, parent: int) -> None:
 
 async def _serve(orders: Connection, requests: Connection) -> None:
     password, salt = secrets.token_hex(16), os.urandom(plc_users.SALT_BYTES)
-    line = plc_users.user_line(USER, Role.OPERATE, password, salt)
-    users = {USER: PlcUser(USER, Role.OPERATE, salt, bytes.fromhex(line.split()[3]))}
+    user = plc_users.parse_line(plc_users.user_line(USER, Role.OPERATE, password, salt))
+    assert user is not None  # noqa: S101 - it is made in the line before
     endpoint = f"opc.tcp://127.0.0.1:{_free_port()}/linemate"
-    server = PlcServer(endpoint, users, lambda: PipeClient(requests), poll_s=None)  # type: ignore[arg-type,return-value]
+    server = PlcServer(endpoint, {USER: user}, lambda: PipeClient(requests), poll_s=None)
     end, is_open = asyncio.Event(), asyncio.Event()
     serving = asyncio.create_task(server.run(end, is_open.set))
     await is_open.wait()
