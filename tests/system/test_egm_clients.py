@@ -30,39 +30,30 @@ def emulator(folder: Path, port: int) -> "subprocess.Popen[str]":
     return subprocess.Popen([*command, "--config", str(path)], stdout=subprocess.PIPE, text=True)
 
 
-@pytest.fixture(scope="module")
-def outcomes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Any, Any]]:
-    """What each client saw, and the emulator's facts at the end; both run at the same time."""
-    missing = [name for name in CLIENTS.values() if importlib.util.find_spec(name) is None]
-    if missing:
-        pytest.skip(f"the test-only packages {missing} are not installed")
-    running = {}
-    for name in CLIENTS:
-        command = [sys.executable, str(PEER), name, "--idle", str(IDLE), "--motion", str(MOTION)]
-        peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert peer.stdout is not None
-        port = int(peer.stdout.readline())
-        running[name] = peer, emulator(tmp_path_factory.mktemp(name), port)
-    seen = {}
+def drive_client(folder: Path, name: str) -> tuple[Any, Any]:
+    """Return what one client saw, and the emulator's facts at the end."""
+    command = [sys.executable, str(PEER), name, "--idle", str(IDLE), "--motion", str(MOTION)]
+    peer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert peer.stdout is not None
+    running = [peer]
     try:
-        for name, (peer, station) in running.items():
-            answer, _ = peer.communicate(timeout=150.0)
-            station.send_signal(signal.SIGTERM)
-            lines, _ = station.communicate(timeout=30.0)
-            seen[name] = json.loads(answer), json.loads(lines.splitlines()[-1])
+        station = emulator(folder, int(peer.stdout.readline()))
+        running.append(station)
+        answer, _ = peer.communicate(timeout=150.0)
+        station.send_signal(signal.SIGTERM)
+        lines, _ = station.communicate(timeout=30.0)
     finally:
-        for pair in running.values():
-            for process in pair:
-                process.kill()
-                process.wait()
-    return seen
+        for process in running:
+            process.kill()
+            process.wait()
+    return json.loads(answer), json.loads(lines.splitlines()[-1])
 
 
 @pytest.mark.parametrize("name", CLIENTS)
-def test_a_public_client_holds_and_moves_the_emulated_robot(
-    outcomes: dict[str, tuple[Any, Any]], name: str
-) -> None:
-    seen, facts = outcomes[name]
+def test_a_public_client_holds_and_moves_the_emulated_robot(tmp_path: Path, name: str) -> None:
+    if importlib.util.find_spec(CLIENTS[name]) is None:
+        pytest.skip(f"the test-only package {name} is not installed")
+    seen, facts = drive_client(tmp_path, name)
     assert seen["messages"] == seen["sent"] == seen["ready"] == IDLE + MOTION
     assert seen["farthest_deg"] == pytest.approx(1.5, rel=0.02)
     assert seen["farthest_mm"] == pytest.approx(60.0, rel=0.02)

@@ -112,6 +112,24 @@ def played(
     return served, echoed
 
 
+@contextmanager
+def listening(folder: Path, layout: str, cycle_ms: int) -> Iterator[DaemonProcess]:
+    """The daemon's process with a layout of telegrams."""
+    text = f"""
+task: wheel.yaml
+rsi: {{config: {layout}, port: 0, cycle_ms: {cycle_ms}}}
+command: {{socket: c.sock}}
+"""
+    with DaemonProcess(folder, text) as daemon:
+        yield daemon
+
+
+def serve(folder: Path, cycle_ms: int, cycles: int, layout: str) -> tuple[Any, Any]:
+    """Return what a controller counted of the daemon, and one of the echo, in one round."""
+    with listening(folder, layout, cycle_ms) as daemon:
+        return played(folder, layout, daemon.robot()[1], cycle_ms, cycles)
+
+
 @pytest.mark.parametrize(
     ("cycle_ms", "cycles", "layout", "corrected"),
     [
@@ -122,12 +140,7 @@ def played(
 def test_a_foreign_controller_counts_no_faulty_reply(
     tmp_path: Path, cycle_ms: int, cycles: int, layout: str, corrected: list[str]
 ) -> None:
-    text = f"""
-task: wheel.yaml
-rsi: {{config: {layout}, port: 0, cycle_ms: {cycle_ms}}}
-command: {{socket: c.sock}}
-"""
-    with DaemonProcess(tmp_path, text) as daemon:
+    with listening(tmp_path, layout, cycle_ms) as daemon:
         for _ in range(ROUNDS):
             with Waiting(daemon.process.pid) as waiting:
                 served, echoed = played(tmp_path, layout, daemon.robot()[1], cycle_ms, cycles)

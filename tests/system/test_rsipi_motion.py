@@ -3,6 +3,7 @@
 import re
 import socket
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +14,25 @@ pytest.importorskip("RSIPI", reason="the test-only package rsipi is not installe
 
 CLIENT = Path(__file__).with_name("rsipi_client.py")
 LOST_SHARE = 0.2  # of all cycles: what a shared host loses of a client of several processes
+
+
+def drive_client(folder: Path, idle: int, motion: int) -> tuple[Any, Any]:
+    """Return what the client saw, and the emulator's facts at the end."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    text = rsipi_motion.FILE.read_text(encoding="utf-8")
+    text = re.sub(r"<IP_NUMBER>.*?<", "<IP_NUMBER>127.0.0.1<", text)
+    config = folder / "rsi.xml"
+    config.write_text(re.sub(r"<PORT>.*?<", f"<PORT>{port}<", text), encoding="utf-8")
+    (folder / "long.yaml").write_text("name: long\nduration_s: 60.0\n")
+    emulator = folder / "emulator.yaml"
+    emulator.write_text(
+        "scenario: long.yaml\ncycle_ms: 12\nrsi_xml: rsi.xml\n"
+        "controller: {patient: true, timeout: 10000}\n"
+    )
+    words = [str(config), str(idle), str(motion), "12"]
+    return driven(emulator, CLIENT, words, 120.0)
 
 
 def test_rsipis_controller_takes_every_reply_in_motion(
@@ -29,21 +49,8 @@ def test_rsipis_client_holds_and_moves_the_emulated_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    text = rsipi_motion.FILE.read_text(encoding="utf-8")
-    text = re.sub(r"<IP_NUMBER>.*?<", "<IP_NUMBER>127.0.0.1<", text)
-    config = tmp_path / "rsi.xml"
-    config.write_text(re.sub(r"<PORT>.*?<", f"<PORT>{port}<", text), encoding="utf-8")
-    (tmp_path / "long.yaml").write_text("name: long\nduration_s: 60.0\n")
-    emulator = tmp_path / "emulator.yaml"
-    emulator.write_text(
-        "scenario: long.yaml\ncycle_ms: 12\nrsi_xml: rsi.xml\n"
-        "controller: {patient: true, timeout: 10000}\n"
-    )
     idle, motion = 100, 400
-    seen, facts = driven(emulator, CLIENT, [str(config), str(idle), str(motion), "12"], 120.0)
+    seen, facts = drive_client(tmp_path, idle, motion)
     assert seen["moved_deg"] == pytest.approx(seen["sent_deg"], rel=0.05)
     assert seen["sent_deg"] == pytest.approx(1.5, rel=0.02)
     assert set(facts["refusals"]) <= {"late"}
