@@ -64,6 +64,7 @@ class _Run:
 
     Attributes:
         silent: cycles since the last good correction.
+        sequence: of the newest message.
         is_answered: a good correction came.
         accepted: newest good correction of the open cycle.
         faulty: the open cycle got a message that was refused.
@@ -163,9 +164,8 @@ class EgmController:
         if run.ended is not None:
             return None
         self.counts.sent += 1
-        data = self.codec.format_robot(self._describe(run, self._read()))
         run.sequence = (run.sequence + 1) % _U32
-        return data
+        return self.codec.format_robot(self._describe(run, self._read()))
 
     def on_reply(self, data: bytes, stamp_ns: int = 0, deadline_ns: int | None = None) -> Judgement:
         """Judge a correction; the newest good one of a cycle is applied.
@@ -228,7 +228,7 @@ class EgmController:
     def _new_run(self, standing: Seven, sequence: int) -> _Run:
         self.judge.start(standing)
         guidance = Guidance(self.config.guidance, self.config.cycle_s, standing)
-        return _Run(guidance, standing, sequence=sequence)
+        return _Run(guidance, standing, sequence=sequence - 1)
 
     def _describe(self, run: _Run, reading: RobotReading) -> messages.RobotMessage:
         """Return the message's values at a cycle's start."""

@@ -51,6 +51,16 @@ def moved(by: float) -> Seven:
     return (START[0] + by, *START[1:])
 
 
+def test_a_cycle_is_told_by_the_number_of_its_message() -> None:
+    cell = Cell(first_sequence=2**32 - 1)
+    told = []
+    for _ in range(3):
+        message = cell.telegram()
+        assert message is not None
+        told.append((message.sequence, cell.controller.end_of_cycle().ipoc))
+    assert told == [(2**32 - 1, 2**32 - 1), (0, 0), (1, 1)]
+
+
 def test_a_message_says_where_the_robot_is_and_that_it_is_ready() -> None:
     message = Cell().telegram()
     assert message is not None
