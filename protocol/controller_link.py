@@ -38,11 +38,14 @@ class ExchangeRules(Struct, frozen=True):
         accounted_s: after a longer silence it is unknown which setpoint is in force [s].
         coasts: in a cycle without a reply the controller goes on at the speed of its last two
             setpoints. Else it holds the last one.
+        newest_acts: a late reply acts in the next cycle unless a newer one comes, and no telegram
+            shows it.
     """
 
     setpoints: SetpointKind = SetpointKind.OFFSETS
     accounted_s: float = ACCOUNTED_S
     coasts: bool = False
+    newest_acts: bool = False
 
 
 class ControllerError(ProtocolError):

@@ -217,7 +217,7 @@ class Cycle(RestingStepper):
         if ready is not None and not ready.entry.inputs.sent:
             return None
         foreseen = self.exchange.foreseen()
-        if foreseen is None or self.session.is_interrupted:
+        if foreseen is None or self.session.is_interrupted or self.session.may_be_late:
             return None
         counter, peer = foreseen
         joints = self._joints if rest is None else rest.robot.joints

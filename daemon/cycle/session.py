@@ -47,6 +47,7 @@ class Session:
         unserved: telegrams that were accepted since and got no reply, because the daemon failed.
         stalled_s: for so long the controller counted cycles and this process's clock did not [s].
         replies_lost: replies that were not applied.
+        turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
 
     __slots__ = (
@@ -74,6 +75,7 @@ class Session:
         "reference",
         "replies_lost",
         "stalled_s",
+        "turnaround_ns",
         "unproven",
         "unserved",
         "was_lost",
@@ -97,6 +99,7 @@ class Session:
         self.proof = Proof.NONE
         self.unproven: str | None = None
         self.stalled_s = 0.0
+        self.turnaround_ns = 0
         self.unserved = 0
         self.openings = self.replies_lost = 0
         self._rules = rules
@@ -163,6 +166,11 @@ class Session:
     def is_interrupted(self) -> bool:
         """A bare reply went out since the last one with corrections."""
         return self._is_interrupted or not self.is_proven
+
+    @property
+    def may_be_late(self) -> bool:
+        """The last reply may have gone out after the next telegram, and no telegram shows it."""
+        return self._rules.newest_acts and self.turnaround_ns > 0.5e9 * self._cycle_s
 
     def needs_proof(self, robot: RobotSample, missed: int) -> bool:
         """Return whether a telegram of the running exchange must be proven to be the program's.
@@ -405,6 +413,8 @@ class Session:
             return False
         bad = 0 if delay is None or before is None else delay - before
         self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
+        # The controller has this cycle's reply when it looks again, and the late one never acted.
+        self.was_lost |= self.may_be_late and answered_ns + self.turnaround_ns > stamp_ns
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1

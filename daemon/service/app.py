@@ -309,6 +309,7 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
+        self.cycle.session.turnaround_ns = self._robot.turnaround_ns or 0
         prepared, decision = self.cycle.prepared, self.cycle.decision
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
@@ -375,6 +376,7 @@ class App:
     def _on_due(self, due: Due) -> None:
         if due.kind is DueKind.PREPARE:
             began_ns = time.monotonic_ns()
+            self.cycle.session.turnaround_ns = self._robot.turnaround_ns or 0
             if self.cycle.prepare(due.stamp_ns):
                 late_ns = self._timer.lateness.last_ns
                 self._times.note_prepared(late_ns, time.monotonic_ns() - began_ns)

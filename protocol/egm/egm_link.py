@@ -44,7 +44,7 @@ class EgmLink:
         self._cycle_s = cycle_s
         self._is_on_rail = on_rail
         self._has_signals = signals
-        self.rules = ExchangeRules(SetpointKind.POSITIONS)
+        self.rules = ExchangeRules(SetpointKind.POSITIONS, newest_acts=True)
 
     def read(self, data: bytes, stamp_ns: int) -> ControllerTelegram:
         """Return the telegram in a datagram.

@@ -1,6 +1,7 @@
 """An ABB controller that stops, loses its daemon or is not ready: no setpoint without a proof."""
 
 import numpy as np
+import pytest
 
 from linemate.daemon.cycle.states import State
 from linemate.simulators.devices.egm.egm_controller import EgmController
@@ -69,3 +70,34 @@ def test_a_controller_whose_run_has_ended_gets_no_setpoint_of_the_run_before() -
     assert run.cycle.session.unproven is not None
     assert "RAPID does not run" in run.cycle.session.unproven
     assert np.abs(np.array(run.egm.setpoints) - np.array(where)).max() < 0.02
+
+
+class LateReplies(Run):
+    """In motion each fortieth reply goes out when the next message has come, before its reply."""
+
+    def __init__(self, *, is_measured: bool) -> None:
+        super().__init__()
+        self._is_measured, self._held, self._replies = is_measured, b"", 0
+
+    def _exchange(self, data: bytes, t: float) -> None:
+        stamp_ns = self.links.stamp(t)
+        late_ns = round(1.1e9 * CYCLE_S) if self._held and self._is_measured else 0
+        self.cycle.session.turnaround_ns = late_ns
+        reply = self.cycle.on_telegram(data, stamp_ns)
+        assert reply
+        if self._held:
+            self.egm.on_reply(self._held)
+        self._replies += 1
+        self._held = reply if t > 1.0 and self._replies % 40 == 0 else b""
+        if not self._held:
+            self.egm.on_reply(reply)
+
+
+@pytest.mark.parametrize("is_measured", [True, False])
+def test_a_reply_that_went_out_too_late_makes_no_double_step(*, is_measured: bool) -> None:
+    run = LateReplies(is_measured=is_measured).until(2.6)
+    assert run.state in MOVING
+    assert run.egm.counts.lost >= 4
+    assert (run.cycle.session.replies_lost >= 4) is is_measured
+    # The planted error shows that the judge can see it.
+    assert (run.egm.judge.violations == 0) is is_measured

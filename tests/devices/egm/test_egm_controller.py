@@ -51,14 +51,14 @@ def moved(by: float) -> Seven:
     return (START[0] + by, *START[1:])
 
 
-def test_a_cycle_is_told_by_the_number_of_its_message() -> None:
+def test_a_cycle_has_the_number_of_its_message() -> None:
     cell = Cell(first_sequence=2**32 - 1)
-    told = []
+    numbers = []
     for _ in range(3):
         message = cell.telegram()
         assert message is not None
-        told.append((message.sequence, cell.controller.end_of_cycle().ipoc))
-    assert told == [(2**32 - 1, 2**32 - 1), (0, 0), (1, 1)]
+        numbers.append((message.sequence, cell.controller.end_of_cycle().ipoc))
+    assert numbers == [(2**32 - 1, 2**32 - 1), (0, 0), (1, 1)]
 
 
 def test_a_message_says_where_the_robot_is_and_that_it_is_ready() -> None:
