@@ -196,7 +196,8 @@ def next_state(
         return _gone(state)
     lasted_s = 0.0 if state.order is GoOrder.GO else state.lasted_s + dt
     order = GoOrder.STAND
-    is_late = state.order is GoOrder.BACK or lasted_s >= BACK_S
+    # A reason that has just ended is waited out: the way back and again takes seconds.
+    is_late = state.order is GoOrder.BACK or (bool(counted) and lasted_s >= BACK_S)
     is_late = is_late or not _BACK_AT_ONCE.isdisjoint(counted)
     if zone is not Zone.FAR and may_back and is_late:
         order = GoOrder.BACK

@@ -105,7 +105,7 @@ def test_the_whole_table_decides(
         stops = GoOrder.BACK if backs else GoOrder.STAND
         assert new.order is (stops if counts else GoOrder.GO)
     else:
-        backs = zone is not Zone.FAR and may_back
+        backs = zone is not Zone.FAR and may_back and (counts or order is GoOrder.BACK)
         assert new.order is (GoOrder.BACK if backs else GoOrder.STAND)
         waited_s = 0.0 if reasons == (Reason.TURN,) else 1.0 + T0
         assert new.waited_s == pytest.approx(waited_s)
