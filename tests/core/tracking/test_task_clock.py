@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import parameters
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking import task_clock
+from linemate.daemon.core.tracking import merge, task_clock
 from linemate.daemon.core.tracking.go_no_go import clock_ramp, evidence
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder, GoState, Zone
 from linemate.daemon.core.tracking.reference import barrier, last_step
@@ -130,6 +130,27 @@ def test_a_no_go_on_the_way_slows_the_tool_down_with_a_bounded_acceleration(
     end = tracker.sight_time if order is GoOrder.BACK else after[-1].time
     assert after[-1].time == pytest.approx(last_step(end, cycle_s))
     assert after[-1].time < before[-1].time + 0.5
+
+
+@pytest.mark.parametrize("cycle_s", [0.004, 0.008, 0.012])
+@pytest.mark.parametrize("order", [GoOrder.STAND, GoOrder.BACK])
+def test_a_plan_stays_on_the_programme_as_the_clock_changes_its_rate(
+    cycle_s: float, order: GoOrder
+) -> None:
+    tracker = of_cycle(cycle_s)
+    before = ordered(tracker, on_the_way(tracker, 0.4), GoOrder.GO, 0.1)
+    states = ordered(tracker, before[-1], order, 0.3)
+    states += ordered(tracker, states[-1], GoOrder.GO, 0.5)
+    plan, off = tracker.merge_free, []
+    ahead = np.arange(tracker.steps + 1.0)
+    poses = tracker.table.between(before[-1].time / cycle_s + ahead)[1]
+    for state in states:
+        times = task_clock.programme_times(tracker, state, False)
+        goal = tracker.table.between(state.time / cycle_s + ahead if times is None else times)[1]
+        poses = merge.merge(poses, goal, plan)
+        off.append(np.abs(poses - goal)[:, 2].max())
+    # A ramp that began a step earlier moved the plan by 18 mm at 4 ms.
+    assert max(off) < 2e-4
 
 
 def test_the_ramp_takes_as_long_at_every_cycle() -> None:
