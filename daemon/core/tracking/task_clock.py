@@ -79,7 +79,7 @@ def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[fl
         ramp = clock_ramp.RUNNING if now < low else clock_ramp.STANDING
         return min(round(now) + ramp.rate, low) * T0, ramp
     if len(ramp.planned) <= 1 and rate != ramp.rate:
-        ramp = _changed_ramp(tracker, ramp, round(now), rate)
+        ramp = clock_ramp.extended(_changed_ramp(tracker, ramp, round(now), rate), low, high)
     ramp = clock_ramp.advanced(ramp)
     time = ramp.planned[0] if ramp.planned else round(now) + ramp.rate
     if ramp.rate == 1 and not ramp.planned:

@@ -134,12 +134,13 @@ def test_a_no_go_on_the_way_slows_the_tool_down_with_a_bounded_acceleration(
 
 @pytest.mark.parametrize("cycle_s", [0.004, 0.008, 0.012])
 @pytest.mark.parametrize("order", [GoOrder.STAND, GoOrder.BACK])
+@pytest.mark.parametrize("seconds", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
 def test_a_plan_stays_on_the_programme_as_the_clock_changes_its_rate(
-    cycle_s: float, order: GoOrder
+    cycle_s: float, order: GoOrder, seconds: float
 ) -> None:
     tracker = of_cycle(cycle_s)
     before = ordered(tracker, on_the_way(tracker, 0.4), GoOrder.GO, 0.1)
-    states = ordered(tracker, before[-1], order, 0.3)
+    states = ordered(tracker, before[-1], order, seconds)
     states += ordered(tracker, states[-1], GoOrder.GO, 0.5)
     plan, off = tracker.merge_free, []
     ahead = np.arange(tracker.steps + 1.0)
@@ -149,8 +150,8 @@ def test_a_plan_stays_on_the_programme_as_the_clock_changes_its_rate(
         goal = tracker.table.between(state.time / cycle_s + ahead if times is None else times)[1]
         poses = merge.merge(poses, goal, plan)
         off.append(np.abs(poses - goal)[:, 2].max())
-    # A ramp that began a step earlier moved the plan by 18 mm at 4 ms.
-    assert max(off) < 2e-4
+    # A ramp that began a step earlier moved the plan by 67 mm at 4 ms.
+    assert max(off) < 3e-4
 
 
 def test_the_ramp_takes_as_long_at_every_cycle() -> None:

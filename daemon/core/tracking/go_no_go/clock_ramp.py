@@ -67,6 +67,24 @@ def changed(ramp: ClockRamp, now: int, rate: int, delay: int, length: int) -> Cl
     return ClockRamp(rate, tuple(steady + turned))
 
 
+def extended(ramp: ClockRamp, low: float, high: float) -> ClockRamp:
+    """Return the ramp with the steps that a clock kept between two times does not show.
+
+    A clock that turns beyond a bound comes back to it before it goes on.
+
+    Args:
+        low, high: bounds [steps].
+    """
+    last = ramp.planned[-1]
+    bound = low if ramp.rate > 0 else high
+    hidden = math.ceil((bound - last) * ramp.rate)
+    if hidden <= 0 or math.isinf(bound):
+        return ramp
+    return ClockRamp(
+        ramp.rate, (*ramp.planned, *(last + ramp.rate * i for i in range(1, hidden + 1)))
+    )
+
+
 def advanced(ramp: ClockRamp) -> ClockRamp:
     """Return the ramp one step later; after its last planned step nothing is planned."""
     return ClockRamp(ramp.rate, ramp.planned[1:])
