@@ -5,14 +5,10 @@ Reference: KUKA RSI, FANUC Stream Motion (status packets), ABB EGM (egm.proto).
 
 import re
 import struct
-from collections.abc import Callable
-from typing import TypeVar
 
 from linemate.protocol.controller_link import ControllerError
 
 FAMILIES = {"rsi": "KUKA RSI", "fanuc": "FANUC Stream Motion", "egm": "ABB EGM"}
-
-Read = TypeVar("Read")
 
 _XML = re.compile(rb"\s*<\s*rob\b", re.IGNORECASE)
 _STATUS = struct.Struct(">II")
@@ -32,35 +28,16 @@ def family(data: bytes) -> str | None:
     return None
 
 
-def wrong_family(data: bytes, own: str) -> ControllerError | None:
-    """Return the refusal of a datagram that another family's controller has sent.
+def refusal(error: ControllerError, data: bytes, own: str) -> ControllerError:
+    """Return the error of a datagram's codec, or one that names the family that has sent it.
 
     Args:
         own: kind that is configured.
     """
     kind = family(data)
     if kind is None or kind == own:
-        return None
+        return error
     return ControllerError(
         f"the telegram is {FAMILIES[kind]}: configured is {FAMILIES[own]}. "
         f"Set controller.kind to {kind}, or change the address at that controller."
     )
-
-
-def read_own(read: Callable[[bytes], Read], data: bytes, own: str) -> Read:
-    """Return what a family's codec reads in a datagram.
-
-    Args:
-        read: the codec; it raises ControllerError.
-        own: kind that is configured.
-
-    Raises:
-        ControllerError: it cannot be read. A controller of another family is named.
-    """
-    try:
-        return read(data)
-    except ControllerError as error:
-        other = wrong_family(data, own)
-        if other is None:
-            raise
-        raise other from error

@@ -9,7 +9,7 @@ Invariants:
 
 from typing import cast
 
-from linemate.protocol.controller_family import read_own
+from linemate.protocol.controller_family import refusal
 from linemate.protocol.controller_link import (
     ControllerError,
     ControllerTelegram,
@@ -52,7 +52,10 @@ class EgmLink:
         Raises:
             ControllerError: it is none, or has no linear axis that the arm has.
         """
-        message = read_own(self._codec.parse_robot, data, "egm")
+        try:
+            message = self._codec.parse_robot(data)
+        except EgmError as error:
+            raise refusal(error, data, "egm") from None
         feedback = message.feedback
         if self._is_on_rail and not feedback.external:
             raise EgmError(

@@ -11,7 +11,7 @@ import math
 import struct
 from typing import Final
 
-from linemate.protocol.controller_family import read_own
+from linemate.protocol.controller_family import refusal
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
@@ -119,7 +119,10 @@ class FanucLink:
         Raises:
             ControllerError: it is none, of another version, or of another family.
         """
-        status = read_own(read_status, data, "fanuc")
+        try:
+            status = read_status(data)
+        except FanucError as error:
+            raise refusal(error, data, "fanuc") from None
         if status.version != self._version:
             raise FanucError(
                 f"status packet of version {status.version}, configured {self._version}. "

@@ -8,7 +8,7 @@ Invariants:
 
 from typing import cast
 
-from linemate.protocol.controller_family import read_own
+from linemate.protocol.controller_family import refusal
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
@@ -55,7 +55,10 @@ class RsiLink:
             ControllerError: it is none, or the configuration sends no joints, or no linear axis
                 that the arm has.
         """
-        telegram = read_own(self._codec.parse_robot, data, "rsi")
+        try:
+            telegram = self._codec.parse_robot(data)
+        except RsiError as error:
+            raise refusal(error, data, "rsi") from None
         if telegram.joints is None:
             raise RsiError(
                 "the telegram has no AIPos: the daemon needs the joints",

@@ -3,7 +3,7 @@ import struct
 import pytest
 
 from linemate.daemon.config.files import PROTOCOL_DATA
-from linemate.protocol.controller_family import family, wrong_family
+from linemate.protocol.controller_family import family, refusal
 from linemate.protocol.controller_link import ControllerError
 from linemate.protocol.egm.egm_codec import EgmCodec
 from linemate.protocol.egm.egm_link import EgmLink
@@ -50,5 +50,6 @@ def test_a_controller_of_another_family_is_named_with_both() -> None:
             ControllerError, match=f"the telegram is {name}: configured is FANUC Stream Motion"
         ):
             FanucLink(3).read(data, 0)
-    assert wrong_family(EGM, "egm") is None
-    assert wrong_family(b"?", "egm") is None
+    error = ControllerError("damaged")
+    assert refusal(error, EGM, "egm") is error
+    assert refusal(error, b"?", "egm") is error
