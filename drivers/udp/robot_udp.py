@@ -81,11 +81,6 @@ class RobotLink(DatagramLink):
         self._sent_ns = 0
         self._sole_sender = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
 
-    @property
-    def kept(self) -> Address | None:
-        """The only sender that the kernel lets through, None while all may send."""
-        return self._sole_sender.kept
-
     def open(self) -> None:
         """Bind and listen on the running loop; if that fails, try again with back-off."""
         super().open()
@@ -191,7 +186,8 @@ class RobotLink(DatagramLink):
         self._last = datagram.data
         self.status.last_sample_stamp_ns = datagram.stamp_ns
         self.turnaround_ns = self._sent_ns - datagram.stamp_ns
-        self._sole_sender.note_good(transport, source)
+        if source != self._sole_sender.kept:
+            self._sole_sender.note_good(transport, source)
         return True
 
     def _send(self, transport: DatagramSocket, reply: bytes, source: Any) -> None:

@@ -88,27 +88,26 @@ class SoleSender:
         silence_s: time without a good datagram after which all senders come through [s].
         needed: good datagrams in a row from one sender before the filter is set.
         last_ns: returns the arrival of the last good datagram [ns].
+
+    Attributes:
+        kept: the only sender that comes through, None while all do.
     """
 
     def __init__(self, silence_s: float, needed: int, last_ns: Callable[[], int | None]) -> None:
         self._silence_s = silence_s
         self._needed = needed
         self._last_ns = last_ns
+        self.kept: Address | None = None
         self._source: Address | None = None
         self._row = 0
         self._endpoint: socket.socket | None = None
         self._timer: asyncio.TimerHandle | None = None
 
-    @property
-    def kept(self) -> Address | None:
-        """The only sender that comes through, None while all do."""
-        return self._source if self._endpoint is not None else None
-
     def note_good(self, transport: DatagramSocket, source: Address) -> None:
         """Note a good datagram; set the filter if there were enough in a row."""
+        if source == self.kept:
+            return
         if source == self._source:
-            if self._endpoint is not None:
-                return
             self._row += 1
         else:
             self._widen()
@@ -121,14 +120,14 @@ class SoleSender:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-        self._endpoint = self._source = None
+        self._endpoint = self._source = self.kept = None
         self._row = 0
 
     def _narrow(self, endpoint: socket.socket, source: Address) -> None:
         self._row = 0  # after a refusal, try again later and not at each datagram
         with contextlib.suppress(OSError, ValueError):
             keep_only(endpoint, source)
-            self._endpoint = endpoint
+            self._endpoint, self.kept = endpoint, source
             self._check_in(self._silence_s)
 
     def _widen(self) -> None:

@@ -97,18 +97,18 @@ def test_a_controller_that_is_answered_has_the_port_for_itself(
         link = RobotLink(lambda data, *_, **__: data, port=0)
         link.open()
         assert link.address is not None
-        assert link.kept is None
+        assert link._sole_sender.kept is None
         first, second = two
         first.sendto(b"1", link.address)
         await until(lambda: link.counters["answered"] == 1)
-        assert link.kept == first.getsockname()
+        assert link._sole_sender.kept == first.getsockname()
         second.sendto(b"2", link.address)
         first.sendto(b"3", link.address)
         await until(lambda: link.counters["answered"] == 2)
         assert link.counters["received"] == 2
         assert link.counters["kernel_drops"] == 1
         link.close()
-        assert link.kept is None
+        assert link._sole_sender.kept is None
 
     run(main())
 
@@ -122,14 +122,14 @@ def test_another_controller_may_come_after_the_first_ones_silence(
         assert link.address is not None
         first, second = two
         first.sendto(b"1", link.address)
-        await until(lambda: link.kept is not None)
+        await until(lambda: link._sole_sender.kept is not None)
         begun = time.monotonic()
         while link.counters["answered"] == 1:
             second.sendto(b"2", link.address)
             await asyncio.sleep(0.005)
             assert time.monotonic() - begun < 5.0
         assert time.monotonic() - begun >= 0.8 * robot_udp.SILENCE_S
-        assert link.kept == second.getsockname()
+        assert link._sole_sender.kept == second.getsockname()
         link.close()
 
     run(main())
@@ -145,7 +145,7 @@ def test_telegrams_without_an_answer_keep_no_sender_out(two: tuple[Sender, Sende
             first.sendto(b"junk", link.address)
         second.sendto(b"robot", link.address)
         await until(lambda: link.counters["answered"] == 1)
-        assert link.kept == second.getsockname()
+        assert link._sole_sender.kept == second.getsockname()
         link.close()
 
     run(main())
