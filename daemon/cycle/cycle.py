@@ -239,7 +239,8 @@ class Cycle(RestingStepper):
         self._owes_reply = decision.answer
         if not decision.answer:
             return None
-        self._end_rest_by(telegram, decision)
+        if self._rest_now is not None:
+            self._end_rest_by(self._rest_now, telegram, decision)
         self.session.cycles_since_command += decision.missed + 1
         if telegram.unready is not None:
             self.session.decline(telegram.unready, self._axes(robot), peer)
@@ -258,11 +259,16 @@ class Cycle(RestingStepper):
             stamp_ns = self.date(stamp_ns, decision.missed + 1)
             robot = replace(robot, stamp_ns=stamp_ns)
         self._check_position(robot)
-        reply = self._answer(telegram, stamp_ns, decision)
+        command, reply = self._answer(telegram, stamp_ns, decision)
         self._robot = robot
         self._joints = robot.joints
-        self.session.remember(arrived, peer, self.exchange.settled_step)
+        self._note_reply(command, arrived, peer)
         return reply
+
+    def _note_reply(self, command: Axes, arrived: RobotSample, peer: Hashable) -> None:
+        """Note the reply to a telegram that is proven to be the program's."""
+        self.session.note_reply(command, arrived, peer, self.exchange.settled_step)
+        self._owes_reply = False  # what is lost from here on is this reply
 
     def _note_rested(self, stamp_ns: int, peer: Hashable) -> bool:
         """Note a telegram of a rest that has got the ready reply; False: it must be read.
@@ -280,8 +286,8 @@ class Cycle(RestingStepper):
         self.decision = self.exchange.on_telegram(foreseen[0], stamp_ns, peer)
         robot = self._robot = replace(robot, counter=foreseen[0], stamp_ns=stamp_ns)
         self.session.settle(robot.delay, 1, stamp_ns)
-        self._give_rested(rest)
-        self.session.remember(robot, peer, self.exchange.settled_step)
+        self.rested += 1
+        self._note_reply(rest.command, robot, peer)
         return True
 
     def _answer_unreadable(
@@ -355,7 +361,7 @@ class Cycle(RestingStepper):
         A session may begin while the robot still comes to rest.
         """
         axes, start = self._axes(robot), self.session.reference
-        if self.session.held != start or states.order(self.machine) is not MotionOrder.HOLD:
+        if self.session.applied != start or states.order(self.machine) is not MotionOrder.HOLD:
             self.following.check_moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.check_resting(axes, start):
             self._open_session(robot, axes, axes)
@@ -381,11 +387,12 @@ class Cycle(RestingStepper):
 
     def _answer(
         self, telegram: ControllerTelegram, stamp_ns: int, decision: TelegramDecision
-    ) -> bytes:
-        """Return the reply, after as many steps as the controller made cycles."""
-        held = self._answer_resting(telegram)
-        if held is not None:
-            return held
+    ) -> tuple[Axes, bytes]:
+        """Return command and reply, after as many steps as the controller made cycles."""
+        rest = self._rest_now
+        if rest is not None and self._goes_on(telegram.robot.stamp_ns):
+            self.rested += 1
+            return rest.command, rest.reply.with_counter(telegram.echo)
         session, last, steps = self.session, self.last, decision.steps
         if decision.missed:
             session.moves = False
@@ -425,12 +432,10 @@ class Cycle(RestingStepper):
 
     def _release_reply(
         self, entry: LogEntry, reply: PreparedReply, telegram: ControllerTelegram
-    ) -> bytes:
-        """Return a reply as it goes to the wire."""
-        self.session.note_reply(entry.outputs.command)
-        self._owes_reply = False  # what is lost from here on is this reply
+    ) -> tuple[Axes, bytes]:
+        """Return a step's command, and its reply as it goes to the wire."""
         self._given = entry
-        return reply.with_counter(telegram.echo)
+        return entry.outputs.command, reply.with_counter(telegram.echo)
 
     @property
     def is_unproven(self) -> bool:

@@ -132,7 +132,7 @@ class RestingStepper(Stepper):
         tracker = state.tracker
         if tracker.started or tracker.contact or tracker.clamped or last.outputs.digital_out:
             return False
-        is_proven = session.arrived and not session.is_interrupted
+        is_proven = session.was_sent and not session.was_lost and not session.is_interrupted
         is_held = last.outputs.command == session.held and self._plan is not None
         return is_proven and is_held and self._is_quiet()
 
@@ -148,11 +148,10 @@ class RestingStepper(Stepper):
         is_still = following.error is None and not is_settling
         return is_still and operating.signals.link is Link.HEALTHY and operating.rests
 
-    def _end_rest_by(self, telegram: ControllerTelegram, decision: TelegramDecision) -> None:
+    def _end_rest_by(
+        self, rest: Rest, telegram: ControllerTelegram, decision: TelegramDecision
+    ) -> None:
         """End the rest if a telegram is not the ordinary next one of a robot that stands."""
-        rest = self._rest_now
-        if rest is None:
-            return
         is_next = decision.kind is TelegramKind.NORMAL and decision.steps == 1
         is_ordinary = is_next and not decision.missed and telegram.unready is None
         robot, before = telegram.robot, rest.robot
@@ -162,33 +161,17 @@ class RestingStepper(Stepper):
         if not (is_ordinary and is_same and is_still and self._is_quiet()):
             self.end_rest()
 
-    def _answer_resting(self, telegram: ControllerTelegram) -> bytes | None:
-        """Return the reply that holds the robot; None: make a step."""
-        rest = self._rest_now
-        if rest is None:
-            return None
-        if not self._may_go_on(telegram.robot.stamp_ns):
-            self.end_rest()
-            return None
-        self._give_rested(rest)
-        return rest.reply.with_counter(telegram.echo)
-
-    def _give_rested(self, rest: Rest) -> None:
-        """Note that a reply holds the robot without a step."""
-        self.rested += 1
-        self.session.note_reply(rest.command)
-        self._owes_reply = False
-
     def looks_at(self, stamp_ns: int) -> bool:
         """Return whether sensors and watches are judged at a telegram of a rest [ns]."""
         return stamp_ns - self._looked_ns >= round(1e9 * LOOK_S)
 
-    def _may_go_on(self, stamp_ns: int) -> bool:
-        """Judge sensors and watches if it is time, and return whether the rest may go on."""
-        if not self.looks_at(stamp_ns):
-            return True
-        self._judge(stamp_ns)
-        return self.machine.state is State.IDLE and self._is_quiet()
+    def _goes_on(self, stamp_ns: int) -> bool:
+        """Judge sensors and watches if it is time, and return whether the rest goes on."""
+        if self.looks_at(stamp_ns):
+            self._judge(stamp_ns)
+            if self.machine.state is not State.IDLE or not self._is_quiet():
+                self.end_rest()
+        return self.is_resting
 
     def _judge(self, stamp_ns: int) -> None:
         """Decide the operating state as in a step with a telegram [ns]."""

@@ -128,11 +128,6 @@ class Session:
         return self.applied if self.pending is None else self.pending
 
     @property
-    def arrived(self) -> bool:
-        """The last step's command is the robot's."""
-        return self.was_sent and not self.was_lost
-
-    @property
     def is_proven(self) -> bool:
         """Whether the correction in force is known."""
         return self.proof in proving.PROVEN
@@ -422,10 +417,32 @@ class Session:
             self.applied = given
         return self.was_lost
 
-    def note_reply(self, command: Axes) -> None:
-        """Note the reply that goes to the wire; its delivery status is open."""
+    def note_reply(
+        self, command: Axes, robot: RobotSample, peer: Hashable, step: int | None
+    ) -> None:
+        """Note the reply that goes to the wire, and the program as of the telegram it answers.
+
+        Args:
+            command: its delivery status is open.
+            step: of the telegrams' counter, None while it is not sure.
+        """
         self.was_sent, self.was_lost, self.moves = True, False, True
         self.pending, self.cycles_since_command = command, 0
+        program, start = self._program, self.reference
+        moved = command != start or (program is not None and program.moved)
+        self._telegrams, self._silence_s, self._longest_s = 0, None, 0.0
+        self._is_interrupted = self._is_refuted = False
+        self._program = Program(
+            robot.counter,
+            step,
+            robot.stamp_ns,
+            robot.delay,
+            peer,
+            start,
+            self.applied,
+            command,
+            moved,
+        )
 
     def give_unread(self, command: Axes) -> None:
         """Note a reply that went out to a telegram that could not be judged afterwards."""
@@ -437,23 +454,6 @@ class Session:
     def refrain(self) -> None:
         """A cycle passed, or passes, without a command: the robot holds in it."""
         self.was_sent = self.moves = False
-
-    def remember(self, robot: RobotSample, peer: Hashable, step: int | None) -> None:
-        """Remember the program as of a telegram that was answered; ``step`` is its counter's."""
-        moved = self._program is not None and self._program.moved
-        self._telegrams, self._silence_s, self._longest_s = 0, None, 0.0
-        self._is_interrupted = self._is_refuted = False
-        self._program = Program(
-            robot.counter,
-            step,
-            robot.stamp_ns,
-            robot.delay,
-            peer,
-            self.reference,
-            self.applied,
-            self.held,
-            moved=moved or self.held != self.reference,
-        )
 
 
 def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:

@@ -286,7 +286,7 @@ class Stepper:
             Whether the robot has the command; else where it is, and its speed and acceleration.
         """
         session, given = self.session, self._given
-        if session.arrived:
+        if session.was_sent and not session.was_lost:
             return True, None, None
         if given is None or given.after is None:
             return False, session.held, None

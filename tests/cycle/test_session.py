@@ -30,12 +30,10 @@ def running(rules: ExchangeRules = OFFSETS) -> Session:
     session.note_telegram(first.stamp_ns)
     assert session.prove(first, START, None, "robot") == (START, START)
     session.open(START, START, 0)
-    session.note_reply(BEFORE)
-    session.remember(first, "robot", STEP)
+    session.note_reply(BEFORE, first, "robot", STEP)
     session.note_telegram(12_000_000_000)
     session.settle(0, 1, 12_000_000_000)
-    session.note_reply(SENT)
-    session.remember(telegram(1200, 12.0, 4, SENT), "robot", STEP)
+    session.note_reply(SENT, telegram(1200, 12.0, 4, SENT), "robot", STEP)
     return session
 
 

@@ -179,8 +179,7 @@ class Bench:
         speed = SPEED if self.exchange.state is Running.RUNNING else 0.0
         command = (session.held[0] + speed, *axes[1:])
         reference = session.reference[0]
-        session.note_reply(command)
-        session.remember(robot, port, self.exchange.settled_step)
+        session.note_reply(command, robot, port, self.exchange.settled_step)
         return command[0] - reference
 
     def cycle(self, *, telegram: bool = True, reply: bool = True) -> None:

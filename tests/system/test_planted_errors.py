@@ -27,7 +27,6 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (Exchange, "on_telegram"),
     (Session, "settle"),
     (Session, "note_reply"),
-    (Session, "remember"),
     (SensorQueues, "drain"),
     (FollowingCheck, "check_moving"),
     (FollowingCheck, "add_command"),
