@@ -361,7 +361,8 @@ class Cycle(RestingStepper):
         A session may begin while the robot still comes to rest.
         """
         axes, start = self._axes(robot), self.session.reference
-        if self.session.applied != start or states.order(self.machine) is not MotionOrder.HOLD:
+        machine = self.operating.machine
+        if self.session.applied != start or states.order(machine) is not MotionOrder.HOLD:
             self.following.check_moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.check_resting(axes, start):
             self._open_session(robot, axes, axes)

@@ -3,8 +3,10 @@
 Invariants:
 - The operating state is decided before the pure step is made.
 - A step is planned once. It is finished again if the robot did not get the command as assumed.
-- A step that the recorder has not read yet is kept, up to ``LONGEST_LOG``.
+- A step that is not read yet is kept, up to ``LONGEST_LOG``; the oldest is dropped.
 """
+
+from collections import deque
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -28,11 +30,12 @@ from linemate.daemon.cycle.sensing.samples import DrainedSamples, SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
-from linemate.daemon.cycle.step_log import LogEntry, StepLog
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.controller_link import ControllerLink, PreparedReply, SetpointKind
 from linemate.protocol.stamped_samples import RobotSample
 
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
+LONGEST_LOG = 256  # steps that are kept until they are read
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]
 
 _MOVES = frozenset({"arm", "start", "home", "follow"})
@@ -54,6 +57,7 @@ class Stepper:
         samples: of the sensors, for the next step.
         following: compares the robot's position with its commands.
         repeated: telegrams answered with a step that the timer had made, finished again.
+        log_dropped: steps that were not read from the log in time.
     """
 
     def __init__(
@@ -70,10 +74,10 @@ class Stepper:
         self.session = Session(parameters.cycle_s, link.rules)
         self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
         self.last: LogEntry | None = None
-        self.steps = self.repeated = 0
+        self.steps = self.repeated = self.log_dropped = 0
         self._poses = HandedPoses()
         self._link = link
-        self._log = StepLog()
+        self._log: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
         self._state: stepping.StepState | None = None
         self._before: stepping.Outputs | None = None  # of the step before ``last``
         self._plan: stepping.StepPlan | None = None  # of ``last``, None if the session is new
@@ -132,12 +136,9 @@ class Stepper:
 
     def take_log(self) -> list[LogEntry]:
         """Return the steps since the last call, oldest first; to be called after the reply."""
-        return self._log.drain()
-
-    @property
-    def log_dropped(self) -> int:
-        """Steps that were not read from the log in time."""
-        return self._log.dropped
+        entries = list(self._log)
+        self._log.clear()
+        return entries
 
     def swap(self, parameters: Parameters, *, restarts: bool = False) -> None:
         """Use other parameters from the next step on.
@@ -430,4 +431,5 @@ class Stepper:
         self._before = None if self.last is None else self.last.outputs
         self.last, self._plan = entry, plan
         self.following.add_command(entry.outputs.command)
-        self._log.push(entry)
+        self.log_dropped += len(self._log) == LONGEST_LOG
+        self._log.append(entry)

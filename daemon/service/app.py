@@ -323,12 +323,13 @@ class App:
         self._failing_ns = None
         self._telegram_ns = stamp_ns
         self._arrival = stamp_ns
-        if is_answered and self._rest.is_between_looks(stamp_ns):
-            # Nothing but the clock waits for this telegram: a turn of the loop costs 20 us.
-            self._follow()
-            return reply
-        if not self.cycle.is_resting and self.cycle.prepared == prepared:
-            self._times.note_step(time.monotonic_ns() - began_ns)
+        if self.cycle.prepared == prepared:
+            if is_answered and self._rest.is_between_looks(stamp_ns):
+                # Nothing but the clock waits for this telegram: a turn of the loop costs 20 us.
+                self._follow()
+                return reply
+            if not self.cycle.is_resting:
+                self._times.note_step(time.monotonic_ns() - began_ns)
         self._call_after_reply()
         return reply
 

@@ -21,8 +21,7 @@ from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import SETTLING
 from linemate.daemon.cycle.setpoint_reference import CONFIRMATIONS, Proof
 from linemate.daemon.cycle.states import State
-from linemate.daemon.cycle.step_log import LONGEST_LOG
-from linemate.daemon.cycle.steps import CATCH_UP_S
+from linemate.daemon.cycle.steps import CATCH_UP_S, LONGEST_LOG
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, SensorTelegram, parse_config
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample

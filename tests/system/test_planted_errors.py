@@ -15,7 +15,6 @@ from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.operating import Operating
 from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
-from linemate.daemon.cycle.step_log import StepLog
 from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.rsi_link import RsiLink
@@ -31,7 +30,6 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (FollowingCheck, "check_moving"),
     (FollowingCheck, "add_command"),
     (RsiLink, "prepare"),
-    (StepLog, "push"),
     (Operating, "_facts"),
     (watch, "observe"),
     (states, "transition"),
