@@ -177,7 +177,12 @@ class _TelegramLine:
 
 
 class Exchange:
-    """Daemon's side: one call for each telegram, one for each cycle without."""
+    """Daemon's side: one call for each telegram, one for each cycle without.
+
+    Attributes:
+        step: the learned step of the counter, None while unknown; it is sure in RUNNING.
+        session: number of the present session, 0 before the first.
+    """
 
     def __init__(
         self,
@@ -200,14 +205,14 @@ class Exchange:
         self._counts = dict.fromkeys(TelegramKind, 0)
         self._missed_total = 0
         self._overdue_total = 0
-        self._session = 0
+        self.session = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget the session; the next telegram is a first one. Counters stay."""
-        self._state = ExchangeState.IDLE
+        self.state = ExchangeState.IDLE
         self._peer: Hashable = None
-        self._step: int | None = None
+        self.step: int | None = None
         self._last_counter = 0
         self._last_ns = 0
         self._peer_ns = 0
@@ -220,46 +225,22 @@ class Exchange:
         self._line = _TelegramLine()
 
     @property
-    def state(self) -> ExchangeState:
-        """State of the exchange."""
-        return self._state
-
-    @property
-    def step(self) -> int | None:
-        """The learned step of the counter, None while unknown."""
-        return self._step
-
-    @property
-    def settled_step(self) -> int | None:
-        """The learned step of the counter once it is sure, None before."""
-        return self._step if self._state is ExchangeState.RUNNING else None
-
-    @property
-    def session(self) -> int:
-        """Number of the present session, 0 before the first."""
-        return self._session
-
-    @property
     def counters(self) -> dict[str, int]:
         """Telegrams by kind, missed cycles, cycles stepped by the clock, sessions."""
         return {
             **{kind.value: count for kind, count in self._counts.items()},
             "missed": self._missed_total,
             "overdue": self._overdue_total,
-            "sessions": self._session,
+            "sessions": self.session,
         }
-
-    def silence_ns(self, now_ns: int) -> int | None:
-        """Time since the last accepted telegram [ns], None before the first."""
-        return None if self._state is ExchangeState.IDLE else now_ns - self._last_ns
 
     def resume(self, step: int) -> None:
         """Continue with a known step of the counter: the new session continues the one before."""
-        self._step, self._state = step, ExchangeState.RUNNING
+        self.step, self.state = step, ExchangeState.RUNNING
 
     def would_open(self, stamp_ns: int, peer: Hashable) -> bool:
         """Whether a telegram with this arrival [ns] begins a session, whatever its counter."""
-        if self._state is ExchangeState.IDLE or peer != self._peer:
+        if self.state is ExchangeState.IDLE or peer != self._peer:
             return True
         return stamp_ns - self._last_ns >= self._session_gap_ns
 
@@ -268,14 +249,14 @@ class Exchange:
 
         None if there is no such telegram.
         """
-        if self._state is not ExchangeState.RUNNING or self._steps_made or self._step is None:
+        if self.state is not ExchangeState.RUNNING or self._steps_made or self.step is None:
             return None
-        return self._last_counter + self._step, self._peer
+        return self._last_counter + self.step, self._peer
 
     def on_missing(self) -> None:
         """Note that the clock made a step because no telegram came in time."""
         self._undo_jump()
-        if self._state is not ExchangeState.IDLE:
+        if self.state is not ExchangeState.IDLE:
             self._overdue_total += 1
             self._steps_made = min(self._steps_made + 1, WINDOW)
 
@@ -301,17 +282,17 @@ class Exchange:
         if event is not TelegramEvent.NEXT:
             self._undo_jump()
         self._jumped = 0
-        transition = TABLE[self._state][event]
+        transition = TABLE[self.state][event]
         missed, steps = self._apply(event, counter, stamp_ns, peer)
-        self._state = transition.state
+        self.state = transition.state
         self._counts[transition.kind] += 1
         self._missed_total += missed
         return TelegramDecision(
-            transition.kind, transition.answer, missed, steps, self._session, self._step
+            transition.kind, transition.answer, missed, steps, self.session, self.step
         )
 
     def _classify(self, counter: int, stamp_ns: int, peer: Hashable) -> TelegramEvent:
-        if self._state is ExchangeState.IDLE:
+        if self.state is ExchangeState.IDLE:
             return TelegramEvent.OPENING
         if peer != self._peer:
             alive = stamp_ns - self._peer_ns < self._peer_gap_ns
@@ -337,12 +318,12 @@ class Exchange:
         if delta < 0:
             return TelegramEvent.MISSED if counter in self._missed else TelegramEvent.OLDER
         passed = (stamp_ns - self._last_ns) // self._cycle_ns
-        if self._state is ExchangeState.LEARNING or self._step is None:
+        if self.state is ExchangeState.LEARNING or self.step is None:
             return self._place_learning(delta, passed)
-        cycles, rest = divmod(delta, self._step)
+        cycles, rest = divmod(delta, self.step)
         if rest or cycles > min(WINDOW, passed + TOLERANCE):
             return TelegramEvent.STRAY
-        if (counter - self._anchor_counter) // self._step <= self._steps_made:
+        if (counter - self._anchor_counter) // self.step <= self._steps_made:
             return TelegramEvent.OVERDUE
         return TelegramEvent.NEXT if cycles == 1 else TelegramEvent.AHEAD
 
@@ -350,15 +331,15 @@ class Exchange:
         """Two equal differences in a row settle the step; until then the last one is used."""
         if delta > self._reach:
             return TelegramEvent.STRAY
-        if delta in {self._delta, self._step}:
+        if delta in {self._delta, self.step}:
             return TelegramEvent.SETTLED
-        if self._step is None or delta % self._step or delta // self._step > passed + 1:
+        if self.step is None or delta % self.step or delta // self.step > passed + 1:
             return TelegramEvent.NEXT
         return TelegramEvent.AHEAD
 
     def _goes_on(self, counter: int, stamp_ns: int) -> bool:
         """Whether the line continues the telegram that was confirmed last."""
-        if self._state is not ExchangeState.RUNNING or self._line.step != self._step:
+        if self.state is not ExchangeState.RUNNING or self._line.step != self.step:
             return False
         cycles, rest = divmod(counter - self._anchor_counter, self._line.step)
         if rest or not 0 < cycles <= WINDOW:
@@ -399,9 +380,9 @@ class Exchange:
         line = self._line if event is TelegramEvent.RESYNC else _TelegramLine(counter, 0, 1)
         self.reset()
         self._line = line
-        self._session += 1
+        self.session += 1
         self._peer = peer
-        self._step = self._delta = line.step or None
+        self.step = self._delta = line.step or None
         self._peer_ns = stamp_ns
         self._trust(counter, stamp_ns)
 
@@ -412,17 +393,17 @@ class Exchange:
 
     def _accept(self, event: TelegramEvent, counter: int, stamp_ns: int) -> tuple[int, int]:
         delta = counter - self._last_counter
-        if self._state is ExchangeState.LEARNING:
+        if self.state is ExchangeState.LEARNING:
             if event is not TelegramEvent.AHEAD:
-                self._step = delta
+                self.step = delta
             self._delta = delta
-        step = self._step or delta
+        step = self.step or delta
         cycles = delta // step
         # Accepting relative to the last telegram confirms that one, so it is the new anchor.
         self._steps_made -= (self._last_counter - self._anchor_counter) // step
         steps = max(0, cycles - self._steps_made)
         self._steps_made += steps
-        if cycles == 1 or self._state is ExchangeState.LEARNING:
+        if cycles == 1 or self.state is ExchangeState.LEARNING:
             self._steps_made -= cycles
             self._trust(counter, stamp_ns)
         else:

@@ -34,7 +34,7 @@ from linemate.protocol.controller_link import (
     PreparedReply,
     ReadyReply,
 )
-from linemate.protocol.exchange import Exchange, TelegramDecision, TelegramKind
+from linemate.protocol.exchange import Exchange, ExchangeState, TelegramDecision, TelegramKind
 from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
@@ -267,7 +267,9 @@ class Cycle(RestingStepper):
 
     def _note_reply(self, command: Axes, arrived: RobotSample, peer: Hashable) -> None:
         """Note the reply to a telegram that is proven to be the program's."""
-        self.session.note_reply(command, arrived, peer, self.exchange.settled_step)
+        exchange = self.exchange
+        step = exchange.step if exchange.state is ExchangeState.RUNNING else None
+        self.session.note_reply(command, arrived, peer, step)
         self._owes_reply = False  # what is lost from here on is this reply
 
     def _note_rested(self, stamp_ns: int, peer: Hashable) -> bool:
@@ -332,7 +334,7 @@ class Cycle(RestingStepper):
         elif is_resumed:
             self.operating.is_reply_lost |= session.resume(held, robot.delay)
             self.operating.has_resynchronised |= opens
-            if session.step is not None and self.exchange.settled_step is None:
+            if session.step is not None and self.exchange.state is not ExchangeState.RUNNING:
                 self.exchange.resume(session.step)
         return decision
 

@@ -172,14 +172,15 @@ class Bench:
                 session.open(*found, delay)
             elif is_resumed:
                 session.resume(found[1], delay)
-                if session.step is not None and self.exchange.settled_step is None:
+                if session.step is not None and self.exchange.state is not Running.RUNNING:
                     self.exchange.resume(session.step)
         session.settle(delay, decision.missed + 1, self.now_ns)
         # Nothing moves before a link has proven itself.
         speed = SPEED if self.exchange.state is Running.RUNNING else 0.0
         command = (session.held[0] + speed, *axes[1:])
         reference = session.reference[0]
-        session.note_reply(command, robot, port, self.exchange.settled_step)
+        step = self.exchange.step if self.exchange.state is Running.RUNNING else None
+        session.note_reply(command, robot, port, step)
         return command[0] - reference
 
     def cycle(self, *, telegram: bool = True, reply: bool = True) -> None:

@@ -9,7 +9,7 @@ import pytest
 from msgspec import structs
 from transcripts import Chance, Transcript
 
-from linemate.protocol.exchange import Exchange
+from linemate.protocol.exchange import Exchange, ExchangeState
 from linemate.protocol.exchange_controller import ControllerExchange
 
 EVENTS = 60
@@ -39,7 +39,10 @@ class Controller:
         self.transcript.say(
             ipoc, foreseen, structs.astuple(decision), exchange.state, exchange.step
         )
-        self.transcript.say(exchange.session, exchange.silence_ns(self.now_ns + 1))
+        is_open = exchange.state is not ExchangeState.IDLE
+        self.transcript.say(
+            exchange.session, self.now_ns + 1 - exchange._last_ns if is_open else None
+        )
 
     def next(self, cycles: int = 1, passed: float | None = None) -> None:
         self.ipoc += cycles * self.step
