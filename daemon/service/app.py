@@ -38,6 +38,7 @@ from linemate.daemon.service.assembly import (
     build_command_port,
     build_learner,
     build_link,
+    build_production,
     build_recorder,
     build_robot,
     build_sensors,
@@ -53,7 +54,6 @@ from linemate.daemon.service.incidents import IncidentFiles
 from linemate.daemon.service.live_telemetry import LiveTelemetry
 from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.parameter_service import Answer, ParameterService
-from linemate.daemon.service.production.build import build_production
 from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.status import DaemonSnapshot, LinkView, Rates, status, telemetry
 from linemate.drivers.can_bus import CanLink

@@ -1,6 +1,6 @@
-"""Parts of a daemon, built from its configuration: links, command port, recorder, learner."""
+"""Parts of a daemon, built from its configuration: links, command port, recorder, production."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +13,10 @@ from linemate.daemon.cycle.learning.servos import Learner
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.command_server import CommandPort, Handler, Snapshot
 from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
+from linemate.daemon.service.event_log import EventLog
+from linemate.daemon.service.parameter_service import ParameterService
+from linemate.daemon.service.production.production_cell import ProductionCell
+from linemate.daemon.service.production.record_files import RecordFiles
 from linemate.drivers.can_bus import CanLink
 from linemate.drivers.serial_port import SerialLink
 from linemate.drivers.udp.camera_udp import CameraLink
@@ -165,4 +169,43 @@ def build_recorder(station: LoadedConfig) -> Recorder | None:
             None if settings.total_mib is None else settings.total_mib * MIB,
             settings.reserve_mib * MIB,
         ),
+    )
+
+
+def build_production(
+    station: LoadedConfig,
+    cycle: Cycle,
+    variants: Mapping[str, Parameters],
+    parameters: ParameterService,
+    events: EventLog,
+    recorder: Recorder | None,
+    refusal: Callable[[str], str | None],
+) -> ProductionCell | None:
+    """Return the production cell, None if it is not configured.
+
+    Args:
+        variants: compiled tasks by variant.
+        refusal: returns why an order is refused now, for reasons of the process.
+    """
+    settings = station.config.production
+    if settings is None:
+        return None
+    directory = None if settings.records is None else station.path.parent / settings.records
+
+    def use_task(compiled: Parameters, variant: str) -> None:
+        parameters.follow(compiled)
+        events.add(f"task {compiled.tracker.task.name} of variant {variant} is in force")
+
+    def recorded_file() -> str | None:
+        return recorder.status.file if recorder is not None and recorder.status.recording else None
+
+    return ProductionCell(
+        settings,
+        cycle,
+        variants,
+        RecordFiles(directory, settings.days),
+        refusal=refusal,
+        on_event=events.add,
+        on_task=use_task,
+        recording=recorded_file,
     )
