@@ -30,11 +30,10 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import PoseFile
-from linemate.daemon.identification import pipeline
+from linemate.daemon.identification import conveyor_ramps, pipeline
 from linemate.daemon.identification.noise import distance_noise
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.pipeline import IdentifyError, Recorded
-from linemate.daemon.identification.stops import conveyor_ramps
 from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.protocol.stamped_samples import Vector3
 

@@ -22,7 +22,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.identification import ring_down, scene_fit, swing
+from linemate.daemon.identification import conveyor_ramps, ring_down, scene_fit, sway, swing
 from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, identify_arm_windup
 from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
@@ -31,7 +31,6 @@ from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, R
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.scene_fit import Views
 from linemate.daemon.identification.servo_models import ServoResult, identify_servos
-from linemate.daemon.identification.stops import conveyor_ramps, sway
 from linemate.daemon.identification.swing import SwingResult, identify_swings
 from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.daemon.recording.step_codec import StepRecord

@@ -10,10 +10,9 @@ from traces import CAMERA, CYCLE_S, trace
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise
-from linemate.daemon.identification import scene_fit
+from linemate.daemon.identification import scene_fit, sway
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.stops import sway
-from linemate.daemon.identification.stops.sway import SwayResult, findings, identify_sway
+from linemate.daemon.identification.sway import SwayResult, findings, identify_sway
 from linemate.daemon.identification.swing import find_swings
 from linemate.daemon.identification.trace import Images, Trace
 

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from traces import trace
 
-from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.stops.conveyor_ramps import (
+from linemate.daemon.identification.conveyor_ramps import (
     RampClass,
     find_ramps,
     findings,
     identify_ramps,
     motion,
 )
+from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.trace import Trace
 
 SPEED = 0.106

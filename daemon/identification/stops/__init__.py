@@ -1,1 +1,0 @@
-"""From recorded stops and starts: ramps of the conveyor, and sway of the body."""
