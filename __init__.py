@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     )
     from linemate.daemon.transport.client import Client
     from linemate.daemon.transport.follow import Follower, follow
-    from linemate.simulators.harness.research.plugins import PluginError, Predictor
+    from linemate.simulators.harness.cell.plugins import PluginError, Predictor
     from linemate.simulators.harness.research.run_arrays import Run
     from linemate.simulators.harness.research.simulation import replay, simulate
 

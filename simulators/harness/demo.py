@@ -29,12 +29,13 @@ from linemate.daemon.service.host.idle_spinner import IdleSpinner
 from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices import truth
 from linemate.simulators.devices.worlds import OWN, require
-from linemate.simulators.harness import families, host, scenario_file
+from linemate.simulators.harness import host, scenario_file
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import terminal_view as live
-from linemate.simulators.harness.cell import cell_files, cell_station, cell_truth
+from linemate.simulators.harness.cell import cell_files, cell_station, cell_truth, families
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.emulator_command import EX_BROKEN
 from linemate.simulators.harness.processes import (
     DAEMON,
@@ -48,7 +49,6 @@ from linemate.simulators.harness.processes import (
 )
 from linemate.simulators.harness.setup import exchange
 from linemate.simulators.harness.terminal_view import Glimpse, LinkGlimpse, TerminalView
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import joined, report_json, table
 from linemate.simulators.judge.judge import judge, unanswered

@@ -14,7 +14,7 @@ from linemate.daemon.config import documents, files
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.devices.worlds import MUJOCO, OWN
-from linemate.simulators.harness.families import EGM
+from linemate.simulators.harness.cell.families import EGM
 
 _FOLDER = Path(__file__).with_name("data") / "parameters"
 SHIPPED = {OWN: _FOLDER / "identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}

@@ -29,11 +29,11 @@ from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.truth import TruthLog
 from linemate.simulators.devices.worlds import build_world
-from linemate.simulators.harness.cell import cell_links
-from linemate.simulators.harness.research.plugins import PluginError
+from linemate.simulators.harness import cell_links
+from linemate.simulators.harness.cell.plugins import PluginError
+from linemate.simulators.harness.cell.variants import ORACLE, SetupError, change_of
 from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import ORACLE, SetupError, change_of
 from linemate.simulators.judge import rows as columns
 from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams
 from linemate.simulators.judge.oracle import Oracle

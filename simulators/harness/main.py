@@ -22,7 +22,7 @@ from linemate.daemon.command_line import (
     check_output_folder,
 )
 from linemate.daemon.near_names import near_names
-from linemate.simulators.harness.variants import SetupError, is_known, known
+from linemate.simulators.harness.cell.variants import SetupError, is_known, known
 
 MAX_SEEDS = 100_000
 MAX_ROUND_S = 3600.0

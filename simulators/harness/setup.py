@@ -23,11 +23,12 @@ from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.worlds import OWN, UNUSED
-from linemate.simulators.harness import families, scenario_file, variants
 from linemate.simulators.harness import identified_overlay as overlays
+from linemate.simulators.harness import scenario_file
+from linemate.simulators.harness.cell import families, variants
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
 from linemate.simulators.plants.scenario import Scenario

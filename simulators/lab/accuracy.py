@@ -20,12 +20,12 @@ from typing import Any
 
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.simulators.harness import variants
+from linemate.simulators.harness.cell import variants
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.main import scheduler as parse_scheduler
 from linemate.simulators.harness.setup import Setup, shipped_control
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab import accuracy_tables
 from linemate.simulators.lab.cases import ABLATIONS, CASES, TUNED, VERIFY, Case

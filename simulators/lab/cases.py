@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from linemate.simulators.harness import scenario_file, setup, variants
+from linemate.simulators.harness import scenario_file, setup
+from linemate.simulators.harness.cell import variants
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario, to_dict
 

@@ -28,8 +28,8 @@ from linemate.simulators.devices.guided_robot import FORWARD, PostureProgramme
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.harness import setup as setups
 from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab import commission_run
 from linemate.simulators.lab.commission_run import CommissioningRun
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent

@@ -34,7 +34,8 @@ from linemate.simulators.devices.guided_robot import FORWARD, GuidedRobot, Postu
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.devices.rsi_controller import Seven
 from linemate.simulators.devices.worlds import build_world
-from linemate.simulators.harness.cell import cell_links, cell_truth
+from linemate.simulators.harness import cell_links
+from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import SensorLinks

@@ -26,8 +26,8 @@ from linemate.daemon.recording.step_codec import encode
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import metadata_of
 from linemate.simulators.devices.worlds import OWN, WORLDS
-from linemate.simulators.harness import families, lockstep, scenario_file
-from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness import lockstep, scenario_file
+from linemate.simulators.harness.cell import cell_files, families
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.setup import Setup, laid_over, override

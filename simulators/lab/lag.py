@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from linemate.simulators.harness import families, setup
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.statistics import summarise

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.setup import make
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.campaign import CampaignJob, collect, execute
 from linemate.simulators.lab.worker_pool import progress_bar

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pytest
 
 from linemate.simulators.harness import cluster, setup
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.cluster import ClusterError
 from linemate.simulators.harness.main import main
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab import campaign
 from linemate.simulators.lab.campaign import CampaignJob
 

@@ -10,10 +10,10 @@ import yaml
 
 from linemate.daemon.config import config
 from linemate.simulators.devices.line.cars import CarFault
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.demo import DemoStation
 from linemate.simulators.harness.line import demo_line, line_station
 from linemate.simulators.harness.line.demo_line import LineLog
-from linemate.simulators.harness.variants import SetupError
 
 STATION = line_station.station()
 PLAIN = Namespace(

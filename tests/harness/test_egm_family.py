@@ -2,7 +2,8 @@
 
 import pytest
 
-from linemate.simulators.harness import families, lockstep, setup
+from linemate.simulators.harness import lockstep, setup
+from linemate.simulators.harness.cell import families
 from linemate.simulators.judge.judge import judge
 from linemate.simulators.plants.scenario import Axis, Robot, Scenario
 

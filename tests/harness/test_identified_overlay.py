@@ -7,7 +7,7 @@ import pytest
 from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import identified_overlay as overlay
 from linemate.simulators.harness import setup
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 
 
 def test_values_and_lists_reach_the_settings_and_leave_the_rest() -> None:

@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 
 from linemate.daemon.core.tracking.settings import TrackingSettings
-from linemate.simulators.harness import setup, variants
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell import variants
+from linemate.simulators.harness.cell.variants import UnknownVariantError
 from linemate.simulators.harness.setup import OverrideError
-from linemate.simulators.harness.variants import UnknownVariantError
 
 
 def test_an_override_changes_its_key_and_nothing_else() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from linemate.simulators.harness import setup
-from linemate.simulators.harness.variants import VARIANTS, SetupError
+from linemate.simulators.harness.cell.variants import VARIANTS, SetupError
 from linemate.simulators.lab import cases
 from linemate.simulators.lab.cases import CASES, TUNED, VERIFY, WRONG, Case
 

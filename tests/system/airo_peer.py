@@ -27,7 +27,8 @@ from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig
 from linemate.simulators.devices.limit_judge import LimitJudge
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import Applied, Seven
-from linemate.simulators.harness import families, setup
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.lockstep import Lockstep
 
 CYCLE_S = 0.008

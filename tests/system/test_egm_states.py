@@ -5,7 +5,8 @@ import pytest
 
 from linemate.daemon.cycle.states import State
 from linemate.simulators.devices.egm.egm_controller import EgmController
-from linemate.simulators.harness import families, setup
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.lockstep import Lockstep
 
 CYCLE_S = 0.008

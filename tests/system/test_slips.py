@@ -21,7 +21,7 @@ from linemate.daemon.config.config import LoadedConfig, load
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 
 FASTEST = 0.6
 """True speed of the tcp that a slip may lead to [m/s]."""

@@ -1,1 +1,1 @@
-"""A run's cell from files: arm, task, configuration and scenario."""
+"""What a run is made of: the cell's files, the family of its controller, variants and plug-ins."""

@@ -15,7 +15,7 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.settings import ControllerKind
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.near_names import near_names
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 
 DATA = Path(__file__).parents[1] / "data" / "cells"
 CONFIG, SCENARIO = "linemated.yaml", "scenario.yaml"

@@ -14,10 +14,9 @@ from typing import Any
 from linemate.daemon.config import documents, files
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.config.settings import Corrections
-from linemate.simulators.harness import families
-from linemate.simulators.harness.cell import cell_truth
+from linemate.simulators.harness.cell import cell_truth, families
 from linemate.simulators.harness.cell.cell_files import CellFiles
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 
 OWN_LINKS = ("production", "command", "recording", "state", "realtime")
 """Sections that a run on one host has of its own, or cannot have."""

@@ -19,7 +19,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.task import PoseFile, TaskFile, WaypointFrame
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.plants import rotation, urdf_arm
 from linemate.simulators.plants.arm import ArmPlant
 from linemate.simulators.plants.body import C_IN_BASE

@@ -25,6 +25,7 @@ from linemate.daemon.transport.client import Client, NoAnswerError, RefusedError
 from linemate.simulators.devices.line.cars import Car, LinePlan
 from linemate.simulators.devices.worlds import OWN
 from linemate.simulators.harness import host, scenario_file
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.demo import (
     EX_UNAVAILABLE,
     STALL_S,
@@ -43,7 +44,6 @@ from linemate.simulators.harness.processes import (
     start_daemon,
     wait_until,
 )
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge import report_json
 from linemate.simulators.plants.scenario import Scenario
 

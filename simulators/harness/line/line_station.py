@@ -22,7 +22,7 @@ from linemate.simulators.devices.line.cars import Car, LinePlan
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.cell import cell_files
 from linemate.simulators.harness.cell.cell_files import CellFiles
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario, Vector3
 

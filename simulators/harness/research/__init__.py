@@ -1,1 +1,1 @@
-"""Python interface for researchers: own classifiers, runs as arrays, recordings with the truth."""
+"""Python interface for researchers: runs as arrays, recordings with the truth."""

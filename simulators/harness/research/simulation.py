@@ -14,9 +14,9 @@ from linemate.daemon.recording import reader, step_codec, step_replay
 from linemate.daemon.recording.format import DamageReport, UnreadableRecordingError
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.daemon.recording.step_replay import Overrides
-from linemate.simulators.harness import lockstep, setup, variants
-from linemate.simulators.harness.cell import cell_files
-from linemate.simulators.harness.research import plugins, truth_recording
+from linemate.simulators.harness import lockstep, setup
+from linemate.simulators.harness.cell import cell_files, plugins, variants
+from linemate.simulators.harness.research import truth_recording
 from linemate.simulators.harness.research.run_arrays import Run
 from linemate.simulators.judge import joined
 from linemate.simulators.judge import rows as columns

@@ -21,9 +21,9 @@ from linemate.daemon.recording.bounded_mcap import LARGEST_RECORD
 from linemate.daemon.recording.step_file import StepFile
 from linemate.daemon.recording.step_items import StepItems, metadata_of
 from linemate.simulators.devices import truth
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.lockstep import Change, Lockstep
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.judge.judge import RunEvidence, judge
 
 FILE = "run.mcap"

@@ -31,8 +31,8 @@ from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
-from linemate.simulators.harness import host
-from linemate.simulators.harness.cell import cell_links, cell_truth
+from linemate.simulators.harness import cell_links, host
+from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.line.line_station import LineStation
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.harness.sensor_links import Emitters

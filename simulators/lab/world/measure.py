@@ -18,9 +18,9 @@ from typing import Any
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.worlds import OWN
 from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.cluster import digest
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.worker_pool import progress_bar, spread

@@ -8,7 +8,7 @@ import pytest
 from linemate.daemon.config.documents import FileError
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.cell import cell_files
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.lab.faults.dst_cells import TASKS
 
 CONFIG, TASK = TASKS / "dst_six_axes.yaml", TASKS / "dst_six_axes_task.yaml"

@@ -9,11 +9,11 @@ import pytest
 import yaml
 
 from linemate.daemon.config import config
-from linemate.simulators.harness import emulator_command, families
-from linemate.simulators.harness.cell import cell_files, cell_station
+from linemate.simulators.harness import emulator_command
+from linemate.simulators.harness.cell import cell_files, cell_station, families
 from linemate.simulators.harness.cell.cell_files import CellFiles
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.demo import DemoStation
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab.faults.dst_cells import TASKS
 from linemate.simulators.plants.scenario import Scenario
 

@@ -10,7 +10,7 @@ from linemate.daemon.core.tracking.task import PoseFile
 from linemate.simulators.devices.limit_judge import LIMITS
 from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.cell.cell_truth import shipped_task
-from linemate.simulators.harness.variants import SetupError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.lab.faults.dst_cells import TASKS
 from linemate.simulators.plants.arm import ArmPlant
 from linemate.simulators.plants.scenario import Robot, Scenario

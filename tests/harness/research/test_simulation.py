@@ -11,8 +11,8 @@ import pytest
 import linemate
 from linemate.daemon.operator.main import main as operator
 from linemate.daemon.recording.format import UnreadableRecordingError
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.research import truth_recording
-from linemate.simulators.harness.variants import SetupError
 
 SHORT = {"scenario.lead_in_s": 1.5, "scenario.duration_s": 0.6}
 # The stop of this scenario begins at 5.1 s.

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.main import main
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab.world import measure
 
 SHORT = ("--set", "scenario.lead_in_s=1.3", "--set", "scenario.duration_s=0.1")

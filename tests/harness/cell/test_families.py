@@ -9,7 +9,8 @@ import pytest
 from linemate.daemon.cycle.setpoint_reference import Proof
 from linemate.daemon.cycle.states import State
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
-from linemate.simulators.harness import families, setup
+from linemate.simulators.harness import setup
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.lockstep import Lockstep
 from linemate.simulators.plants.scenario import Fault
 

@@ -7,10 +7,10 @@ import pytest
 
 from linemate.daemon.config.settings import CameraSettings, Corrections
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.harness import lockstep, setup
-from linemate.simulators.harness.cell import cell_files, cell_links
+from linemate.simulators.harness import cell_links, lockstep, setup
+from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
 from linemate.simulators.lab.faults.dst_cells import TASKS
 from linemate.simulators.plants.world import World
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from linemate.simulators.harness import main as command_line
-from linemate.simulators.harness import variants
-from linemate.simulators.harness.research import plugin_names
+from linemate.simulators.harness.cell import plugin_names, variants
 
 SHORT = ("--set", "scenario.lead_in_s=1.5", "--set", "scenario.duration_s=0.6")
 MODULE = """

@@ -24,7 +24,7 @@ from linemate.daemon.core.tracking.conveyor import (
 )
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
-from linemate.simulators.harness.research.plugin_names import CLASSIFIERS, PREDICTORS
+from linemate.simulators.harness.cell.plugin_names import CLASSIFIERS, PREDICTORS
 
 
 class Predictor(Protocol):

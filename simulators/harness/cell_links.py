@@ -23,11 +23,11 @@ from linemate.simulators.devices.links.controllers import EmulatedController
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.devices.sensing.camera_sender import CameraSender
-from linemate.simulators.harness import families
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.cell.cell_truth import axis_limits
+from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.sensor_links import CAMERA_CLOCK_NS, SensorEnds
 from linemate.simulators.harness.setup import Setup
-from linemate.simulators.harness.variants import SetupError
 
 
 def of(station: LoadedConfig | None) -> SensorEnds:

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
-from linemate.simulators.harness.research.plugin_names import is_plugin, names
+from linemate.simulators.harness.cell.plugin_names import is_plugin, names
 
 if TYPE_CHECKING:
-    from linemate.simulators.harness.research.plugins import Change
+    from linemate.simulators.harness.cell.plugins import Change
 
 Settings = tuple[TrackingSettings, ControlSettings]
 Transformation = Callable[[TrackingSettings, ControlSettings], Settings]
@@ -113,7 +113,7 @@ def change_of(name: str) -> "Change | None":
     """
     if name in VARIANTS:
         return None
-    from linemate.simulators.harness.research import plugins  # numpy is not for every command
+    from linemate.simulators.harness.cell import plugins  # numpy is not for every command
 
     try:
         return plugins.change_of(name)
