@@ -78,9 +78,6 @@ class TerminalView(Protocol):
     def show(self, glimpse: Glimpse) -> None:
         """Show the present moment."""
 
-    def print_line(self, text: str) -> None:
-        """Print a line that stays."""
-
 
 @contextmanager
 def view(title: str, stream: TextIO | None = None) -> Iterator[TerminalView]:
@@ -111,10 +108,6 @@ class Lines:
         self._last, self._last_line_s = key, glimpse.time_s
         self.console.print(line(glimpse), markup=False, soft_wrap=True)
 
-    def print_line(self, text: str) -> None:
-        """Print it."""
-        self.console.print(text, markup=False, soft_wrap=True)
-
 
 @dataclass(slots=True)
 class Drawn:
@@ -135,10 +128,6 @@ class Drawn:
             self._last = now
         if self.live is not None:
             self.live.update(picture(self.title, glimpse, self._events))
-
-    def print_line(self, text: str) -> None:
-        """Print it above the picture."""
-        self.console.print(text, markup=False, soft_wrap=True)
 
 
 def line(glimpse: Glimpse) -> str:

@@ -119,13 +119,6 @@ class ServoBank:
         rises[-1] = tuple(map(sub, nodes[-1], nodes[-2]))
         self._ahead = None
 
-    def setpoints(self, cycle: int, age: float) -> tuple[float, ...]:
-        """The interpolated setpoints `age` after the start of the present cycle."""
-        del cycle
-        share = age / self._cycle_s
-        begin, end = self._nodes[-2:]
-        return tuple(a + (b - a) * share for a, b in zip(begin, end, strict=True))
-
     def advance(self, index: int) -> None:
         """Integrate substep `index` (counted from the start of the run)."""
         if self._ahead is None:

@@ -9,7 +9,7 @@ Invariants:
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -46,28 +46,6 @@ _AHEAD = 64
 
 Matrix = NDArray[np.float64]
 _Emission = TypeVar("_Emission", DistanceEmission, CameraEmission, WrenchEmission)
-
-
-@dataclass(frozen=True, slots=True)
-class RobotTruth:
-    """The robot at one instant.
-
-    Attributes:
-        joints: encoders of A1..A6 [rad].
-        external: encoder of E1 [m].
-        joints_true: motors of A1..A6 without encoder noise [rad].
-        setpoints: interpolated setpoints A1..A6 [rad], E1 [m].
-        velocities: A1..A6 [rad/s], E1 [m/s] at the last substep.
-        tcp_rigid: rigid tcp in base, 4x4.
-    """
-
-    time_s: float
-    joints: tuple[float, ...]
-    external: tuple[float, ...]
-    joints_true: tuple[float, ...]
-    setpoints: tuple[float, ...]
-    velocities: tuple[float, ...]
-    tcp_rigid: Matrix
 
 
 class World:
@@ -202,20 +180,6 @@ class World:
         """Signals: bit 0 screws fixed, bit 1 wheel released, and the line's if it has one."""
         return self._contact.signals | self._conveyor.signals(self._now)
 
-    def robot_state(self) -> RobotTruth:
-        """The robot now, as its encoders say and as it is."""
-        true = self._motors_at(self._now)
-        read = self.encoders()
-        return RobotTruth(
-            time_s=self._now,
-            joints=read[:6],
-            external=read[6:],
-            joints_true=true[:6],
-            setpoints=self._servos.setpoints(self.cycle, self._age()),
-            velocities=self._servos.velocities,
-            tcp_rigid=rotation.matrix(self._rigid_at(self._now)),
-        )
-
     def encoders(self) -> tuple[float, ...]:
         """What the encoders say now: A1..A6 [rad], E1 [m]."""
         read = self._motors_at(self._now)
@@ -244,10 +208,6 @@ class World:
     def hub(self) -> Pose:
         """True hub in base, now."""
         return self._hub if self._on_grid(self._now) else self._hub_at(self._now)
-
-    def tcp_of(self, joints: tuple[float, ...]) -> Matrix:
-        """Rigid tcp in base, 4x4, of a faultless arm for any joints (A1..A6 [rad], E1 [m])."""
-        return rotation.matrix(self._arm.tcp(joints))
 
     def take_distance(self) -> list[DistanceEmission]:
         """Readings of the distance sensor that became due since the last call."""
@@ -337,9 +297,6 @@ class World:
             return None
         parts = self._start, self._h, self._contact, self._effector
         return CarriedBody(scenario, lambda times: self.unit_motion(times)[1], *parts)
-
-    def _age(self) -> float:
-        return self._now - self.cycle_start(self.cycle)
 
     def _begin_cycle(self) -> None:
         self._servos.begin_cycle(self.cycle)

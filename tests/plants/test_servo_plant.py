@@ -115,14 +115,6 @@ def test_a_missing_command_holds_the_last_setpoint() -> None:
             bank.begin_cycle(index // 3)
         bank.advance(index)
     assert bank.positions[0] == pytest.approx(0.3, abs=1e-12)
-    assert bank.setpoints(199, 0.005) == (0.3,)
-
-
-def test_setpoints_are_interpolated_over_the_cycle() -> None:
-    bank = ServoBank(Robot().axes, (0.0,) * 7, 0.012, 3)
-    bank.begin_cycle(0)
-    bank.command(0, 0.0, (1.2,) * 7)
-    assert bank.setpoints(0, 0.003) == pytest.approx((0.3,) * 7)
 
 
 def test_a_command_later_than_the_shortest_dead_time_is_refused() -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linemate.simulators.plants import rotation
 from linemate.simulators.plants.bending.effects_arm import ArmEffects, WindupEffect
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent, Ripple
 from linemate.simulators.plants.forces.switches import CarrierMode
@@ -42,7 +43,7 @@ def run(scenario: Scenario, seconds: float, cuts: int = 1) -> list[object]:
             world.advance(t + i * (world.cycle_start(k + 1) - t) / cuts)
             if i < cuts:
                 world.deflection()
-        seen.append((world.robot_state().joints, world.deflection(), world.tcp_pose().tobytes()))
+        seen.append((world.encoders()[:6], world.deflection(), world.tcp_pose().tobytes()))
     seen.append((world.take_distance(), world.take_camera(), world.take_wrench()))
     return seen
 
@@ -136,7 +137,7 @@ def test_a_reply_late_within_its_cycle_still_counts_but_not_too_late() -> None:
             world.advance(t + delay)
             world.command(swaying(world, t))
         world.advance(world.cycle_start(100))
-    assert prompt.robot_state().joints == late.robot_state().joints
+    assert prompt.encoders()[:6] == late.encoders()[:6]
     axes = (*Robot().axes[:5], Axis(6.5, 0.75, 0.002, 15.0), Robot().axes[6])
     world = World(Scenario(robot=Robot(axes=axes)))
     world.advance(-2.0 + 0.005)
@@ -159,10 +160,10 @@ def test_encoder_noise_is_per_cycle_and_moves_nothing() -> None:
         for world in (noisy, clean):
             world.advance(world.cycle_start(k))
             world.command(swaying(world, 0.012 * k))
-        state = noisy.robot_state()
-        assert state.joints == noisy.robot_state().joints
-        assert state.joints_true == clean.robot_state().joints
-        reads.append(np.subtract(state.joints, state.joints_true))
+        joints, true = noisy.encoders()[:6], clean.encoders()[:6]
+        assert joints == noisy.encoders()[:6]
+        assert noisy._motors_at(noisy.time_s)[:6] == true
+        reads.append(np.subtract(joints, true))
     assert np.std(reads) == pytest.approx(1e-4, rel=0.1)
 
 
@@ -200,13 +201,15 @@ def inverse(world: World, goal: np.ndarray, seed: tuple[float, ...]) -> tuple[fl
     """Newton's method on the world's own kinematics, E1 given."""
     q = list(seed)
     for _ in range(20):
-        here = world.tcp_of(tuple(q))
+        here = rotation.matrix(world._arm.tcp(tuple(q)))
         error = np.concatenate([goal[:3, 3] - here[:3, 3], _turn(here, goal)])
         if np.abs(error).max() < 1e-12:
             break
         columns = []
         for i in range(6):
-            moved = world.tcp_of(tuple(v + 1e-6 * (j == i) for j, v in enumerate(q)))
+            moved = rotation.matrix(
+                world._arm.tcp(tuple(v + 1e-6 * (j == i) for j, v in enumerate(q)))
+            )
             columns.append(np.concatenate([moved[:3, 3] - here[:3, 3], _turn(here, moved)]) / 1e-6)
         q[:6] = (np.array(q[:6]) + np.linalg.solve(np.array(columns).T, error)).tolist()
     return tuple(q)
@@ -320,7 +323,7 @@ def test_encoders_are_read_in_steps() -> None:
     world = World(Scenario(robot=robot))
     world.command(tuple(q + 1e-3 for q in robot.start))
     world.advance(world.time_s + 0.1)
-    true = world.robot_state().joints_true
+    true = world._motors_at(world.time_s)[:6]
     counts = np.divide(world.encoders(), 1e-4)
     assert counts == pytest.approx(np.round(counts), abs=1e-6)
     assert np.abs(np.subtract(world.encoders()[:6], true)).max() <= 0.5e-4

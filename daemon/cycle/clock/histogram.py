@@ -39,12 +39,6 @@ class Histogram:
         self._sort()
         return self._count
 
-    @property
-    def greatest_ns(self) -> int:
-        """Longest duration [ns], 0 without any."""
-        self._sort()
-        return self._greatest_ns
-
     def _sort(self) -> None:
         """Sort the waiting values into their buckets."""
         if not self._waiting:
