@@ -16,7 +16,6 @@ import threading
 import time
 import tomllib
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -180,12 +179,7 @@ class Machine:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._end()
 
     def log_text(self) -> str:

@@ -8,7 +8,6 @@ import signal
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from types import TracebackType
 from typing import Any, Final, Self, TextIO
 
 from linemate.daemon.command_line import NO, NO_ANSWER, OK
@@ -105,12 +104,7 @@ class Screen:
             self._stream.write(BEGIN)
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._on_terminal:
             self._stream.write(END + "".join(f"{line}\n" for line in self._last))
             self._stream.flush()
