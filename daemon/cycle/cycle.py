@@ -66,8 +66,6 @@ class Cycle(RestingStepper):
         decision: on the last telegram whose counter could be read.
         date: returns the beginning of the controller's cycle from its telegram's arrival [ns] and
             the cycles since the telegram before. Without one, telegrams have no delay.
-        prepared: telegrams answered with a prepared step.
-        inline: telegrams answered with a step made for them.
         refused: telegrams that could not be read.
         last_refusal: why the last of them could not.
     """
@@ -92,7 +90,7 @@ class Cycle(RestingStepper):
         self.decision: TelegramDecision | None = None
         self.date: Callable[[int, int], int] = lambda stamp_ns, _cycles: stamp_ns
         self.ready_reply: ReadyReply | None = None
-        self.refused = self.inline = self.prepared = 0
+        self.refused = 0
         self.last_refusal: str | None = None
         self._is_running = self._was_preparing = False
         self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
@@ -172,7 +170,7 @@ class Cycle(RestingStepper):
             self._step_unsent(self._state, stamp_ns)
         else:
             # The telegram before may have come, and been answered, since this one was made.
-            self._add_unsent(self._confirmed(ready))
+            self._add_unsent(ready)
             # The step was decided on as if its telegram would come.
             self.operating.is_reply_lost = True
         self._end()
@@ -259,17 +257,19 @@ class Cycle(RestingStepper):
             stamp_ns = self.date(stamp_ns, decision.missed + 1)
             robot = replace(robot, stamp_ns=stamp_ns)
         self._check_position(robot)
-        command, reply = self._answer(telegram, stamp_ns, decision)
+        reply = self._answer(telegram, stamp_ns, decision)
+        self._note_reply(arrived, peer)
         self._robot = robot
         self._joints = robot.joints
-        self._note_reply(command, arrived, peer)
-        return reply
+        return reply.with_counter(telegram.echo)
 
-    def _note_reply(self, command: Axes, arrived: RobotSample, peer: Hashable) -> None:
+    def _note_reply(self, arrived: RobotSample, peer: Hashable) -> None:
         """Note the reply to a telegram that is proven to be the program's."""
-        exchange = self.exchange
+        last, exchange = self.last, self.exchange
+        assert last is not None  # noqa: S101 - its command is in the reply
         step = exchange.step if exchange.state is ExchangeState.RUNNING else None
-        self.session.note_reply(command, arrived, peer, step)
+        self.session.note_reply(last.outputs.command, arrived, peer, step)
+        self._given = last
         self._owes_reply = False  # what is lost from here on is this reply
 
     def _note_rested(self, stamp_ns: int, peer: Hashable) -> bool:
@@ -289,7 +289,7 @@ class Cycle(RestingStepper):
         robot = self._robot = replace(robot, counter=foreseen[0], stamp_ns=stamp_ns)
         self.session.settle(robot.delay, 1, stamp_ns)
         self.rested += 1
-        self._note_reply(rest.command, robot, peer)
+        self._note_reply(robot, peer)
         return True
 
     def _answer_unreadable(
@@ -374,7 +374,7 @@ class Cycle(RestingStepper):
         self.end_rest()
         ready, self._ready = self._ready, None
         if ready is not None:
-            self._add_unsent(self._confirmed(ready))
+            self._add_unsent(ready)
             steps -= 1
             # The step was decided on as if the robot would be led in this cycle.
             self.operating.is_reply_lost = True
@@ -390,12 +390,12 @@ class Cycle(RestingStepper):
 
     def _answer(
         self, telegram: ControllerTelegram, stamp_ns: int, decision: TelegramDecision
-    ) -> tuple[Axes, bytes]:
-        """Return command and reply, after as many steps as the controller made cycles."""
+    ) -> PreparedReply:
+        """Return the reply, after as many steps as the controller made cycles."""
         rest = self._rest_now
         if rest is not None and self._goes_on(telegram.robot.stamp_ns):
             self.rested += 1
-            return rest.command, rest.reply.with_counter(telegram.echo)
+            return rest.reply
         session, last, steps = self.session, self.last, decision.steps
         if decision.missed:
             session.moves = False
@@ -403,42 +403,22 @@ class Cycle(RestingStepper):
         if ahead and last is not None and last.inputs.sent == session.moves:
             # The timer made the step of this late telegram, but did not send it.
             self.last = replace(last, counter=telegram.counter)
-            return self._release_reply(last, self._reply(last), telegram)
+            return self._reply(last)
         if decision.missed:
             # The robot has held, even if the timer had no step left to make for it: a controller
             # that was stalled itself counts fewer cycles than the time has.
             session.was_sent = False
         if steps == 0 and last is not None and self._plan is not None:
-            entry = self._finish_again(last, self._plan, telegram.counter)
-            return self._release_reply(entry, self._reply(entry), telegram)
+            return self._reply(self._finish_again(last, self._plan, telegram.counter))
         ready, self._ready = self._ready, None
         if ready is not None and steps > 1:
-            self._add_unsent(self._confirmed(ready))
+            self._add_unsent(ready)
             ready, steps = None, steps - 1
         if ready is None:
             self._catch_up(stamp_ns, steps)
             if decision.missed:
                 session.was_sent = False
-        if ready is not None:
-            self.prepared += 1
-            ready = self._confirmed(ready, answering=True)
-            entry, plan = replace(ready.entry, counter=telegram.counter), ready.plan
-            reply = ready.reply
-        else:
-            self.inline += 1
-            entry, plan = self._step(
-                self._opened(), stamp_ns, telegram=True, answering=True, counter=telegram.counter
-            )
-            reply = self._reply(entry)
-        self._add(entry, plan)
-        return self._release_reply(entry, reply, telegram)
-
-    def _release_reply(
-        self, entry: LogEntry, reply: PreparedReply, telegram: ControllerTelegram
-    ) -> tuple[Axes, bytes]:
-        """Return a step's command, and its reply as it goes to the wire."""
-        self._given = entry
-        return entry.outputs.command, reply.with_counter(telegram.echo)
+        return self._step_answering(ready, stamp_ns, telegram.counter)
 
     @property
     def is_unproven(self) -> bool:

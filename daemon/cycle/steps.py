@@ -56,6 +56,8 @@ class Stepper:
         operating: decides what the daemon may do.
         samples: of the sensors, for the next step.
         following: compares the robot's position with its commands.
+        prepared: telegrams answered with a prepared step.
+        inline: telegrams answered with a step made for them.
         repeated: telegrams answered with a step that the timer had made, finished again.
         log_dropped: steps that were not read from the log in time.
     """
@@ -74,7 +76,7 @@ class Stepper:
         self.session = Session(parameters.cycle_s, link.rules)
         self.following = FollowingCheck(settings.follow_s, parameters.cycle_s)
         self.last: LogEntry | None = None
-        self.steps = self.repeated = self.log_dropped = 0
+        self.steps = self.prepared = self.inline = self.repeated = self.log_dropped = 0
         self._poses = HandedPoses()
         self._link = link
         self._log: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
@@ -321,6 +323,7 @@ class Stepper:
         self.session.was_sent = False
 
     def _add_unsent(self, ready: PreparedStep) -> None:
+        ready = self._confirmed(ready)
         self._add(ready.entry, ready.plan)
         self.session.was_sent = False
 
@@ -367,6 +370,23 @@ class Stepper:
         shown = self.machine.state.value
         entry = LogEntry(counter, shown, inputs, outputs, state, self._state, made_with)
         return entry, plan
+
+    def _step_answering(
+        self, ready: PreparedStep | None, stamp_ns: int, counter: int
+    ) -> PreparedReply:
+        """Return the reply to a telegram, after its step is confirmed or made."""
+        if ready is not None:
+            self.prepared += 1
+            ready = self._confirmed(ready, answering=True)
+            entry, plan, reply = replace(ready.entry, counter=counter), ready.plan, ready.reply
+        else:
+            self.inline += 1
+            entry, plan = self._step(
+                self._opened(), stamp_ns, telegram=True, answering=True, counter=counter
+            )
+            reply = self._reply(entry)
+        self._add(entry, plan)
+        return reply
 
     def _drain_samples(self, state: stepping.StepState) -> DrainedSamples:
         """Return the accepted samples since the last step; their force is judged by the way."""
