@@ -1,11 +1,13 @@
-"""Files that other files name: their path, and their content within a limit.
+"""Files: the path of a named one, its content within a limit, and a new content in one step.
 
 Invariants:
 - A relative name is searched next to the file that names it, then a bare name in the shipped files.
 - Only regular files are read, and never more than a limit.
 """
 
+import os
 import stat
+import tempfile
 from pathlib import Path
 
 import linemate.daemon
@@ -75,3 +77,27 @@ def read_text(path: Path, limit: int) -> str:
         return read(path, limit).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise UnreadableError(f"{path}: not UTF-8 at byte {error.start}") from error
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file in one step, also against a power cut: all of it, or the one before stays.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(name).chmod(0o644)
+        Path(name).replace(path)
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise

@@ -9,7 +9,6 @@ Invariants:
 
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -117,7 +116,7 @@ def save(folder: Path, settings: Settings, written: Settings) -> Path:
         path.unlink(missing_ok=True)
         return path
     body = yaml.safe_dump(overlay, sort_keys=False, default_flow_style=None, width=100)
-    _replace(path, HEAD + body)
+    files.write(path, HEAD + body)
     return path
 
 
@@ -166,23 +165,3 @@ def _complaints(over: YamlDocument, merged: Any) -> list[Complaint]:
         for key in value
         if key not in _SECTIONS
     ] + list(timeouts.complaints(merged))
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file atomically, also against a power cut."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

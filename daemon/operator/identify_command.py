@@ -2,12 +2,12 @@
 
 import argparse
 import os
-import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.command_line import NO, OK, NegativeError, UsageError, check_output_file
+from linemate.daemon.config import files as config_files
 from linemate.daemon.operator import console, render
 
 if TYPE_CHECKING:
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from linemate.daemon.identification.pipeline import Identified
 
 DEFAULT_OUT = Path("identified.yaml")
+
+write = config_files.write
 
 
 def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
@@ -134,23 +136,3 @@ def overlay_text(identified: "Identified", names: Sequence[str]) -> str:
     head += [f"# kept as configured: {path}" for path in identified.kept]
     body = yaml.safe_dump(identified.overlay, sort_keys=False, default_flow_style=None, width=100)
     return "\n".join([*head, str(body)])
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file in one step: a reader sees all of it or the one before.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    directory = path.parent
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=directory)
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

@@ -72,6 +72,25 @@ def default_key_path() -> Path:
     return Path(base) / "linemate" / "key"
 
 
+def read_private(path: Path) -> str:
+    """Return the text of a file that no other user can read.
+
+    Raises:
+        KeyFileError: it is missing, another user's, or readable by others.
+    """
+    from linemate.protocol.command.preshared_keys import unsafe_file
+
+    try:
+        with path.open(encoding="utf-8") as file:
+            state = os.fstat(file.fileno())
+            unsafe = unsafe_file(state.st_mode, state.st_uid, os.geteuid())
+            if unsafe is not None:
+                raise KeyFileError(f"{path}: {unsafe}")
+            return file.read(65536)
+    except (OSError, UnicodeDecodeError) as error:
+        raise KeyFileError(f"{path}: {error}") from error
+
+
 def read_key(path: Path, name: str | None = None) -> "PresharedKey":
     """Read one key from a key file that no other user can read.
 
@@ -81,17 +100,10 @@ def read_key(path: Path, name: str | None = None) -> "PresharedKey":
     Raises:
         KeyFileError: It is missing, another user's, readable by others, or malformed.
     """
-    from linemate.protocol.command.preshared_keys import parse_keys, unsafe_file
+    from linemate.protocol.command.preshared_keys import parse_keys
 
     try:
-        with path.open(encoding="utf-8") as file:
-            state = os.fstat(file.fileno())
-            unsafe = unsafe_file(state.st_mode, state.st_uid, os.geteuid())
-            if unsafe is not None:
-                raise KeyFileError(f"{path}: {unsafe}")
-            keys = parse_keys(file.read(65536), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise KeyFileError(f"{path}: {error}") from error
+        keys = parse_keys(read_private(path), str(path))
     except CommandError as error:
         raise KeyFileError(error.detail) from error
     for key in keys:

@@ -6,9 +6,10 @@ Invariants:
 
 from collections.abc import Iterator
 
+from linemate.daemon.config.controllers.signal_gates import waiting_gates
 from linemate.daemon.config.documents import Complaint
 from linemate.daemon.config.section_checks import PlainValues
-from linemate.daemon.core.tracking.task import Gate, TaskFile
+from linemate.daemon.core.tracking.task import TaskFile
 
 
 def complaints(values: PlainValues, task: TaskFile | None) -> Iterator[Complaint]:
@@ -35,19 +36,8 @@ def complaints(values: PlainValues, task: TaskFile | None) -> Iterator[Complaint
     if rail and not task.arm.linear_axis:
         yield Complaint(("fanuc", "rail"), "the task's arm has no linear axis. Set it to false.")
     if values.get("fanuc", "signals_byte", kind=int) is None:
-        yield from _gates(task)
-
-
-def _gates(task: TaskFile) -> Iterator[Complaint]:
-    """Yield gates of a task that wait for a signal which the controller does not carry."""
-    for i, waypoint in enumerate(task.waypoints):
-        instead = {
-            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
-            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
-        }.get(waypoint.gate)
-        if instead is not None and instead[1] is None:
+        for waits, key in waiting_gates(task):
             yield Complaint(
                 ("fanuc",),
-                f"waypoints[{i}] of the task waits for {waypoint.gate}, and there are no signals. "
-                f"Set fanuc.signals_byte, or tool.{instead[0]} in the task.",
+                f"{waits}, and there are no signals. Set fanuc.signals_byte, or {key} in the task.",
             )

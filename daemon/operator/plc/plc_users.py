@@ -8,15 +8,13 @@ Invariants:
 
 import hashlib
 import hmac
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from linemate.daemon.transport.client import KeyFileError
+from linemate.daemon.transport.client import KeyFileError, read_private
 from linemate.protocol.command.frame_codec import Role
-from linemate.protocol.command.preshared_keys import unsafe_file
 
 SALT_BYTES: Final = 16
 MOST_USERS: Final = 64
@@ -60,17 +58,8 @@ def read_users(path: Path) -> dict[str, PlcUser]:
     Raises:
         KeyFileError: what is wrong with the file.
     """
-    try:
-        with path.open(encoding="utf-8") as file:
-            state = os.fstat(file.fileno())
-            unsafe = unsafe_file(state.st_mode, state.st_uid, os.geteuid())
-            if unsafe is not None:
-                raise KeyFileError(f"{path}: {unsafe}")
-            lines = file.read().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise KeyFileError(f"{path}: {error}") from error
     users: dict[str, PlcUser] = {}
-    for number, line in enumerate(lines, 1):
+    for number, line in enumerate(read_private(path).splitlines(), 1):
         if not line.strip() or line.startswith("#"):
             continue
         user = parse_line(line)
