@@ -253,6 +253,12 @@ class Exchange:
             return None
         return self._last_counter + self.step, self._peer
 
+    @property
+    def ahead(self) -> int:
+        """Steps that were made for cycles after the last telegram."""
+        confirmed = (self._last_counter - self._anchor_counter) // (self._step or 1)
+        return max(0, self._steps_made - confirmed)
+
     def on_missing(self) -> None:
         """Note that the clock made a step because no telegram came in time."""
         self._undo_jump()

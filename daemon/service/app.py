@@ -367,7 +367,8 @@ class App:
         self._times.note_schedule(self._timer.lock)
         lock = self._timer.lock
         restarts = decision.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
-        lock.follow(stamp_ns, decision.missed + 1 + self._unfollowed, restarts=restarts)
+        cycles, ahead = decision.missed + 1 + self._unfollowed, self.cycle.exchange.ahead
+        lock.follow(stamp_ns, cycles, ahead=ahead, restarts=restarts)
         self._unfollowed = 0
         if not lock.is_slow:
             # Else the clock finds out when it wakes: each call costs 18 us.

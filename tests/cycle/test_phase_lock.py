@@ -17,6 +17,7 @@ from linemate.daemon.cycle.clock.phase_lock import (
     LEARNT,
     MARGIN_NS,
     MAX_STEPS_AT_ONCE,
+    TOLERANCE,
     WINDOW,
     CycleEstimate,
     Due,
@@ -97,6 +98,23 @@ def test_a_controller_that_pauses_is_followed_again_after_a_few_telegrams() -> N
     assert estimate.expected_ns() == moved + AFRESH * 4 * MS
     assert estimate.relocks == 1
     assert estimate.period_ns == 4 * MS
+
+
+def test_a_period_that_was_measured_is_kept_by_guesses_from_delayed_telegrams() -> None:
+    draw, guesses = random.Random(3), 0
+    estimate = CycleEstimate(12 * MS)
+    for n in range(200):
+        estimate.add(START + n * 12 * MS)
+    for n in range(200, 400):
+        estimate.add(START + n * 12 * MS + round(draw.expovariate(1.0 / (42 * MS))))
+        if estimate.measured_ns is None:
+            assert estimate.period_ns == pytest.approx(12 * MS, rel=TOLERANCE)
+            guesses += 1
+    assert guesses > 50
+    estimate.restart()
+    for n in range(8):
+        estimate.add(START + n * 13 * MS)
+    assert estimate.period_ns == pytest.approx(13 * MS)
 
 
 def test_a_controller_that_stalled_for_cycles_is_followed_from_its_next_telegram() -> None:
@@ -308,6 +326,23 @@ def test_a_late_wake_does_not_move_the_grid() -> None:
     lock = locked()
     for k in range(1, 50):
         assert lock.take_due(lock.wake_ns + T // 3) == (missing(START + k * T),)
+
+
+@pytest.mark.parametrize("late", [1, 2, 7])
+def test_a_telegram_that_comes_after_the_steps_of_later_cycles_makes_none_of_them_again(
+    late: int,
+) -> None:
+    lock = locked()
+    for k in range(100):
+        lock.follow(START + (k + 1) * T)
+    first = START + 101 * T
+    came = first + (late - 1) * T + T // 2
+    assert lock.take_due(came) == tuple(missing(first + k * T) for k in range(late))
+    lock.follow(came, ahead=late - 1)
+    assert lock.take_due(came) == ()
+    beyond = lock.next_ns
+    assert lock.take_due(beyond + T // 2) == (missing(beyond),)
+    assert first + (late - 1) * T < beyond <= came + late * T
 
 
 def test_after_a_stall_every_missed_step_is_made_once_and_in_order() -> None:

@@ -187,6 +187,16 @@ def test_a_telegram_whose_step_the_clock_made_is_late_but_answered() -> None:
     assert feed.exchange.counters["overdue"] == 1
 
 
+def test_steps_of_the_clock_beyond_a_late_telegram_are_counted() -> None:
+    feed = running()
+    for _ in range(3):
+        feed.exchange.on_missing()
+    assert feed.exchange.ahead == 3
+    for counter, ahead in ((5, 2), (7, 0), (8, 0)):
+        feed(8, counter)
+        assert feed.exchange.ahead == ahead
+
+
 def test_steps_of_the_clock_are_taken_off_a_gap() -> None:
     feed = running()
     feed.exchange.on_missing()

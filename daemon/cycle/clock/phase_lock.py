@@ -26,6 +26,8 @@ LEARNT: Final = 24  # cycles before a period counts as measured
 # Range of a period that is not measured yet, as shares of the configured one. Two telegrams that
 # a network delayed come 0.2 ms apart. Taken for the period, that made 57 steps in one cycle.
 GUESSED: Final = (0.75, 4.0)
+# The same once one was measured that can be followed: a session keeps its period.
+KEPT: Final = (1.0 - TOLERANCE, 1.0 + TOLERANCE)
 # Telegrams at a refused period before a motion is held. Jitter unlocks the phase in between.
 LASTING: Final = 8
 AFRESH: Final = 4  # arrivals in a row, an eighth of a cycle late, that show a moved phase
@@ -71,6 +73,7 @@ class CycleEstimate:
         """Forget the last session."""
         self.period_ns = float(self.nominal_ns)
         self._measured = False
+        self._guessed = GUESSED
         self._refused = 0
         self._refusal: str | None = None
         self._cycle = 0
@@ -201,7 +204,7 @@ class CycleEstimate:
         if points[-1][0] - points[0][0] >= LEARNT:
             self._measured = True
         else:
-            low, high = (share * self.nominal_ns for share in GUESSED)
+            low, high = (share * self.nominal_ns for share in self._guessed)
             self.period_ns = min(max(self.period_ns, low), high)
 
     def _relock(self) -> None:
@@ -211,6 +214,8 @@ class CycleEstimate:
         from arrivals of two grids, and would reject every better one.
         """
         self.relocks += 1
+        if self._measured and self.refusal is None:
+            self._guessed = KEPT
         if len(self._recent) < WINDOW or self.refusal is not None:
             self.period_ns, self._measured = float(self.nominal_ns), False
         self._forget()
@@ -303,11 +308,15 @@ class PhaseLock:
         self.skipped = self._rest_ns = self._slow_ns = 0
         self._set_period(period_ns)
 
-    def follow(self, stamp_ns: int, cycles: int = 1, *, restarts: bool = False) -> None:
+    def follow(
+        self, stamp_ns: int, cycles: int = 1, *, ahead: int = 0, restarts: bool = False
+    ) -> None:
         """Follow a telegram that was answered.
 
         Args:
             cycles: since the telegram before, by their counters.
+            ahead: cycles after it whose steps were made, because it is late. The grid goes on
+                behind them: no cycle gets a second step.
             restarts: it begins a session.
         """
         estimate = self.estimate
@@ -317,7 +326,7 @@ class PhaseLock:
         # A guess from a few late telegrams made 31 steps more than the controller had cycles.
         measured_ns = None if estimate.refusal else estimate.measured_ns
         self._set_period(estimate.nominal_ns if measured_ns is None else round(measured_ns))
-        expected_ns = estimate.expected_ns()
+        expected_ns = estimate.expected_ns(1 + ahead)
         self.next_ns = stamp_ns + self.period_ns if expected_ns is None else expected_ns
         if self._lead is not None:
             self.lead_ns = self._lead.lead_ns
