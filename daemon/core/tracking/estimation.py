@@ -24,6 +24,7 @@ from linemate.daemon.core.tracking.observation import (
     History,
     PoseMeasurement,
     Wrench,
+    date_error,
     mean_distances,
     mean_wrench,
     measure_camera,
@@ -505,7 +506,8 @@ def _pose_measurements(
     if wrench is not None:
         tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
         if tcp is not None:
-            measured = measure_touch(wrench, tcp, settings.tactile, samples.stamp_ns, rate)
+            off_s = date_error(history, tracker.cycle_s)
+            measured = measure_touch(wrench, tcp, settings.tactile, samples.stamp_ns, rate, off_s)
             if bolts.tried:
                 rotation = bolt_search.unturned(measured.rotation, bolts)
                 measured = replace(measured, rotation=rotation)

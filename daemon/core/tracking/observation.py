@@ -7,7 +7,8 @@ Invariants:
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
-from operator import itemgetter
+from itertools import pairwise
+from operator import itemgetter, truediv
 
 import numpy as np
 from msgspec import Struct
@@ -18,6 +19,8 @@ from linemate.daemon.core.tracking.settings import CameraNoise, TactileNoise
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
 MOST_DISTANCES = 4  # readings of the distance sensor a step that enter the filter one by one
+DATED_POSES = 8  # newest poses whose dates are compared with the controller's cycle
+EVEN_S = 0.001  # sum of what their dates may differ by without being uneven [s]
 OUTLIER_RANGE = 0.005  # range of some readings beyond which one of them is an outlier [m]
 
 _diagonal = itemgetter(0, 6, 11, 15, 18, 20)  # of the upper triangle of a covariance (6, 6)
@@ -66,6 +69,22 @@ def rate_now(history: History) -> Array:
     span = (history.stamps_ns[-1] - history.stamps_ns[-2]) * 1e-9
     rate: Array = (history.poses[-1] - history.poses[-2]) / span
     return rate
+
+
+def date_error(history: History, cycle_s: float) -> float:
+    """Return how far the dates of the newest poses may be off [s].
+
+    The controller's cycle is even. Telegrams that are late for long, or come in bursts, are dated
+    unevenly: by the sum of that a date may be off.
+    """
+    spaces = [after - before for before, after in pairwise(history.stamps_ns[-DATED_POSES:])]
+    counts = [max(round(space * 1e-9 / cycle_s), 1) for space in spaces]
+    periods = sorted(map(truediv, spaces, counts))
+    if not periods:
+        return 0.0
+    period = periods[len(periods) // 2]
+    error_ns = sum([abs(space - n * period) for space, n in zip(spaces, counts, strict=True)])
+    return max(error_ns * 1e-9 - EVEN_S, 0.0)
 
 
 def motion_at(history: History, stamp_ns: int, span_ns: int) -> Array | None:
@@ -201,7 +220,12 @@ def mean_wrench(samples: tuple[WrenchSample, ...]) -> Wrench | None:
 
 
 def measure_touch(
-    wrench: Wrench, tcp: Array, noise: TactileNoise, now_ns: int, rate: Array
+    wrench: Wrench,
+    tcp: Array,
+    noise: TactileNoise,
+    now_ns: int,
+    rate: Array,
+    date_error: float = 0.0,
 ) -> PoseMeasurement:
     """Return the pose measurement of a clamped tool: the tcp, deflected by the wrench.
 
@@ -210,6 +234,7 @@ def measure_touch(
         noise: stiffness of the mount and deviation of a deflection.
         now_ns: time of the step.
         rate: (6,) of the tcp.
+        date_error: how far the tcp's date may be off [s].
     """
     R = rotations.exp(tcp[3:])
     shift = wrench.force / np.array(noise.stiffness)
@@ -217,6 +242,6 @@ def measure_touch(
     count = wrench.count
     place, turned = noise.deflection**2 / count, noise.angle**2 / count
     variance = np.array((place, place, place, turned, turned, turned))
-    variance += (noise.stamp * rate) ** 2
+    variance += ((noise.stamp + date_error) * rate) ** 2
     delay = (now_ns - wrench.stamp_ns) * 1e-9
     return PoseMeasurement(tcp[:3] + R.dot(shift), R.dot(rotations.exp(turn)), delay, variance)

@@ -12,6 +12,7 @@ from linemate.daemon.core.tracking.observation import (
     MOST_DISTANCES,
     History,
     Wrench,
+    date_error,
     mean_distances,
     mean_wrench,
     measure_camera,
@@ -223,6 +224,35 @@ def test_the_mean_of_three_wrenches_is_dated_to_their_middle_and_a_third_as_unce
     )
     assert np.allclose(3.0 * three, one)
     assert mean_wrench(()) is None
+
+
+@pytest.mark.parametrize(
+    ("spaces_ms", "error_ms"),
+    [
+        ([12.0] * 7, 0.0),
+        ([12.36] * 7, 0.0),
+        ([12.0, 36.0, 12.0, 60.0, 12.0, 12.0, 12.0], 0.0),
+        ([12.1, 11.9] * 3, 0.0),
+        ([12.0, 12.0, 2.0, 22.0, 12.0, 12.0, 12.0], 11.0),
+        ([12.0, 12.0, 12.0, 12.0, 12.0, 54.0, 12.0], 5.0),
+    ],
+)
+def test_dates_of_a_robot_that_are_uneven_make_a_touch_as_uncertain_as_it_moves(
+    spaces_ms: list[float], error_ms: float
+) -> None:
+    history = None
+    for stamp in np.cumsum([0.0, *spaces_ms]):
+        history = remember(history, EPOCH + round(1e6 * float(stamp)), np.zeros(6), 20)
+    assert history is not None
+    off_s = date_error(history, 0.012)
+    assert off_s == pytest.approx(1e-3 * error_ms, abs=1e-5)
+    wrench = mean_wrench((WrenchSample(EPOCH, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),))
+    assert wrench is not None
+    rate, noise = np.array((0.0, 0.106, 0.0, 0.0, 0.0, 0.0)), TactileNoise()
+    variance = measure_touch(wrench, np.zeros(6), noise, EPOCH, rate, off_s).variance
+    assert variance[0] == noise.deflection**2
+    least = noise.deflection**2 + (0.106 * (noise.stamp + off_s)) ** 2
+    assert variance[1] == pytest.approx(least)
 
 
 def test_the_middle_of_many_stamps_loses_no_nanoseconds() -> None:
