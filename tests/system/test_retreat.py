@@ -32,6 +32,8 @@ def test_a_retreat_without_force_waits_until_the_clamp_is_open(release_s: float)
         pytest.param(silent(7.0, *SENSORS), (), id="every sensor lost"),
         pytest.param((), ((7.0, "retreat"),), id="ordered to retreat"),
         pytest.param((), ((5.82, "stop"),), id="stopped at the first touch"),
+        pytest.param((), ((5.87, "retreat"),), id="ordered to retreat as the touch is felt"),
+        pytest.param((), ((5.91, "retreat"),), id="ordered to retreat before it presses"),
         pytest.param(
             (Fault(7.0, "force_torque", "offset", 0.05, 600.0, 3),), (), id="force beyond the limit"
         ),

@@ -438,11 +438,16 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
     """Return whether the force measures where the object is: the tool is surely clamped to it.
 
     A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
-    measure the object at its own position, and would follow itself.
+    measure the object at its own position, and would follow itself. Soon after a touch the clamp is
+    closed, whatever was ordered.
     """
-    if not is_seated(state) or _is_overload(tracker, wrench) or state.force_sign.is_suspect:
+    if (
+        not is_seated(state)
+        or _is_overload(tracker, wrench)
+        or state.force_sign.is_suspect
+    ):
         return False
-    if state.releasing is None:
+    if state.releasing is None or state.touching < release.PULL_S:
         return state.contact
     pulling = release.PULLING * tracker.settings.tactile.contact_force
     return state.contact and math.hypot(*state.pull) > pulling

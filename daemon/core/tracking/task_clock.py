@@ -104,8 +104,13 @@ def _changed_ramp(tracker: Tracker, ramp: ClockRamp, now: int, rate: int) -> Clo
 
 
 def is_before_contact(state: TrackerState) -> bool:
-    """Return whether there was no contact yet: a retreat must not lead the tool there."""
-    return not state.contact and Gate.WHEEL_RELEASED not in state.passed
+    """Return whether there was no contact yet: a retreat must not lead the tool there.
+
+    A touch that is felt after the clamp was ordered to open is none: the programme stays where it
+    is.
+    """
+    is_late = state.releasing is not None and state.releasing > state.touching
+    return (not state.contact or is_late) and Gate.WHEEL_RELEASED not in state.passed
 
 
 def advance_clock(

@@ -205,12 +205,12 @@ def _programmed_poses(
     if times is not None:
         return tracker.table.between(times)
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-    if state.contact:
-        relative = _pressing_poses(tracker, state, relative)
+    if state.contact and not is_before_contact(state):
+        return goal, _pressing_poses(tracker, state, relative, retreat)
     return goal, _waiting_poses(state, relative) if retreat else relative
 
 
-def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
+def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array, retreat: bool) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
     commanded = tracker.merge_clamped.committed_s
@@ -218,7 +218,8 @@ def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> A
     relative = guard.pressing(relative, tracker.press, before, times, state.touched)
     if state.releasing is None:
         return relative
-    return release.unloading(relative, state.releasing + tracker.span, commanded)
+    lasting = release.RETREAT_S if retreat else release.UNLOADING_S
+    return release.unloading(relative, state.releasing + tracker.span, commanded, lasting)
 
 
 def _waiting_poses(state: TrackerState, relative: Array) -> Array:
@@ -530,8 +531,8 @@ def update_contact(
         return replace(after, contact=not lost, touching=touching, contact_state=contact.NO_CONTACT)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
-    if after.clamped or after.withdrawn is not None:
-        # A retreat waits for the clamp already, and its own motion gives the force of a touch.
+    # Without a force sensor a retreat that waits for the clamp learns nothing of a touch.
+    if after.withdrawn is not None or (after.clamped and not before.contact_state.forces):
         return after
     x, y, force = (0.0, 0.0, None) if report.force is None else report.force.tolist()
     speed = _approach_speed(tracker, before, after)
@@ -567,8 +568,9 @@ def update_contact(
         rubs = contact.may_rub(reach, bolts)
         has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
         if has_contact:
-            touched = _touched_programme(tracker, before, after, reach)
             sign = force_sign.at_touch(force, tracker.vibration.force)
+        if has_contact and not after.clamped:
+            touched = _touched_programme(tracker, before, after, reach)
             search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,

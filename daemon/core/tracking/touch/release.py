@@ -28,6 +28,7 @@ LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the obj
 LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
 # The press goes in this time once the clamp is ordered to open: it needs as long [s].
 UNLOADING_S = 0.3
+RETREAT_S = 0.1  # the same in a retreat. A press that went at once swung the tool deeper [s]
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 
 
@@ -105,7 +106,9 @@ def without_press(relative: Array) -> Array:
     return changed
 
 
-def unloading(relative: Array, since: Array, commanded: float) -> Array:
+def unloading(
+    relative: Array, since: Array, commanded: float, lasting: float = UNLOADING_S
+) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool whose clamp was ordered to open.
 
     The press goes before the clamp opens: a loaded mount would throw the tool, and push the object.
@@ -114,11 +117,12 @@ def unloading(relative: Array, since: Array, commanded: float) -> Array:
         relative: (m, 6) programmed tcp in the object; not written to.
         since: (m,) times since the order [s].
         commanded: time for which the motion is commanded already [s].
+        lasting: time in which the press goes [s].
     """
     if float(relative[:, 2].max()) <= 0.0:
         return relative
     changed = relative.copy()
-    left = 1.0 - smoothstep((since - commanded) / UNLOADING_S)
+    left = 1.0 - smoothstep((since - commanded) / lasting)
     changed[:, 2] = np.where(relative[:, 2] > 0.0, left * relative[:, 2], relative[:, 2])
     return changed
 
