@@ -59,6 +59,7 @@ _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
 DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
+BLIND_S = 0.06  # without a distance for longer than this the object is not seen [s]
 
 
 def estimate(
@@ -130,6 +131,7 @@ def estimate(
         readings=readings,
         pull=pull,
         pose_ns=pose_ns,
+        blind_s=0.0 if samples.distance else state.blind_s + tracker.cycle_s,
         speed=0.0 if view is None else view.speed,
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
@@ -442,7 +444,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
     closed, whatever was ordered.
     """
     if (
-        not is_seated(state)
+        not is_seated(tracker, state)
         or _is_overload(tracker, wrench)
         or state.force_sign.is_suspect
     ):
@@ -455,7 +457,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
 
 def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:
     """Return the state with what a force on the clamped tool says of its sign."""
-    if wrench is None or not is_seated(state) or state.history is None:
+    if wrench is None or not is_seated(tracker, state) or state.history is None:
         return state
     axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
     offset = float(axis @ state.compliance.offset)
@@ -473,13 +475,15 @@ def _is_overload(tracker: Tracker, wrench: Wrench | None) -> bool:
     return wrench is not None and math.hypot(*wrench.force.tolist()) > limit
 
 
-def is_seated(state: TrackerState) -> bool:
+def is_seated(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether a closing clamp has drawn the tool in.
 
     Before that the mount is bent by the tool's offset from the object: the force does not measure
-    the object. Its change would be detected as a stop, a start or an impulse.
+    the object. Its change would be detected as a stop, a start or an impulse. A tool that touches
+    blind waits a cycle less: only the force shows that the object stops.
     """
-    return state.contact and state.touching >= SEATING_S
+    sooner = tracker.cycle_s if state.blind_s > BLIND_S else 0.0
+    return state.contact and state.touching >= SEATING_S - sooner
 
 
 def _pose_measurements(

@@ -138,7 +138,7 @@ def track(
 
     ``update_contact`` decides on contact later: it needs the delivery of the last command.
     """
-    if is_seated(state) and state.search is not guard.NO_SEARCH:
+    if is_seated(tracker, state) and state.search is not guard.NO_SEARCH:
         state = _end_search(state)
     was_soft = state.compliance.is_softened
     state, view, rejected, wrench = estimate(tracker, state, samples)

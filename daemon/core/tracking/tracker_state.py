@@ -147,6 +147,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         pull: mean force on the clamped tool [N].
         search: for an object that is farther away than estimated.
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
+        blind_s: time since the last reading of the distance sensor [s].
         stood: time without a command, in which the robot stood still [s].
         speed: of the conveyor, as it was last estimated [m/s].
         go: decision of go or no-go before contact.
@@ -205,6 +206,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     pull: Vector3 = (0.0, 0.0, 0.0)
     search: guard.ContactSearch = guard.NO_SEARCH
     pose_ns: int | None = None
+    blind_s: float = 0.0
     stood: float = 0.0
     speed: float = 0.0
     go: GoState = GO
