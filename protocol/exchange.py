@@ -256,7 +256,7 @@ class Exchange:
     @property
     def ahead(self) -> int:
         """Steps that were made for cycles after the last telegram."""
-        confirmed = (self._last_counter - self._anchor_counter) // (self._step or 1)
+        confirmed = (self._last_counter - self._anchor_counter) // (self.step or 1)
         return max(0, self._steps_made - confirmed)
 
     def on_missing(self) -> None:

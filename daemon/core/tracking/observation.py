@@ -79,7 +79,7 @@ def date_error(history: History, cycle_s: float) -> float:
     """
     spaces = [after - before for before, after in pairwise(history.stamps_ns[-DATED_POSES:])]
     counts = [max(round(space * 1e-9 / cycle_s), 1) for space in spaces]
-    periods = sorted(map(truediv, spaces, counts))
+    periods: list[float] = sorted(map(truediv, spaces, counts))
     if not periods:
         return 0.0
     period = periods[len(periods) // 2]

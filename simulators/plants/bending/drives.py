@@ -64,7 +64,6 @@ class RoughServos:
         ]
         self.begin_cycle = bank.begin_cycle
         self.command = bank.command
-        self.setpoints = bank.setpoints
         self.positions, self.velocities = bank.positions, bank.velocities
 
     def advance(self, index: int) -> None:
