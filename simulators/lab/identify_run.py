@@ -60,6 +60,8 @@ class IdentificationPlan:
         world: name, one of ``worlds.WORLDS``.
         controller: family, one of ``families.FAMILIES``.
         cell: name or folder of a cell that is not the default one.
+        scenario: whose plant is identified, without its stops and starts; that of the cell
+            without one.
     """
 
     exercises: int = 2
@@ -70,6 +72,7 @@ class IdentificationPlan:
     world: str = OWN
     controller: str = families.RSI
     cell: str | None = None
+    scenario: str | None = None
 
 
 def identified(plan: IdentificationPlan, folder: Path) -> Identified:
@@ -132,21 +135,23 @@ def _cell(plan: IdentificationPlan) -> CellFiles | None:
     return None if plan.cell is None else cell_files.named(plan.cell)
 
 
-def _truth(name: str, cell: CellFiles | None) -> Scenario:
-    """Return a scenario; in a cell of its own, the exercise has the cell's plant."""
-    if cell is None or cell.scenario is None:
-        return scenario_file.load(name, None if cell is None else cell.nominal)
-    own = scenario_file.load(cell.scenario, cell.nominal)
+def _truth(name: str, cell: CellFiles | None, scenario: str | None) -> Scenario:
+    """Return a scenario; the exercise has the plant of the cell, or of the named scenario."""
+    nominal = None if cell is None else cell.nominal
+    plant = scenario or (None if cell is None else cell.scenario)
+    order = scenario_file.load(name, nominal)
+    if plant is None:
+        return order
+    own = scenario_file.load(plant, nominal)
     if name != EXERCISE_SCENARIO:
         return own
-    order = scenario_file.load(name, cell.nominal)
     conveyor = replace(own.conveyor, events=order.conveyor.events)
     return replace(own, conveyor=conveyor, lead_in_s=order.lead_in_s, duration_s=order.duration_s)
 
 
 def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
     cell = _cell(plan)
-    truth = _truth(name, cell)
+    truth = _truth(name, cell, plan.scenario)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
     truth = families.truth(plan.controller, truth)
@@ -210,6 +215,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--world", choices=WORLDS, default=OWN)
     parser.add_argument("--controller", choices=families.FAMILIES, default=families.RSI)
     parser.add_argument("--cell", metavar="NAME|DIR")
+    parser.add_argument("--scenario", metavar="NAME|FILE")
     parser.add_argument("--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE")
     args = parser.parse_args(argv)
     plan = IdentificationPlan(
@@ -221,6 +227,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args.world,
         args.controller,
         args.cell,
+        args.scenario,
     )
     outcome = identified(plan, args.out)
     print(identify_command.table(outcome.findings))
