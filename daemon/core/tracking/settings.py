@@ -153,6 +153,9 @@ class SwingMode:
         levers: displacement of the object for each radian of swing, x y z [m/rad].
         spread: one sigma of the frequency, as a share; the error is estimated while the object is
             seen. 0: the frequency is exact.
+        gain: acceleration of the object by the levers, as a share of the conveyor's acceleration
+            against which it acts: each stop and start excites it. 0: they do not.
+        gain_deviation: one sigma of that gain.
     """
 
     axis: Annotated[int, Ge(0), Le(2)] = 1
@@ -160,6 +163,16 @@ class SwingMode:
     damping: Annotated[float, Ge(0.0), Lt(0.5)] = 0.002
     levers: tuple[Lever, Lever, Lever] = (-0.3, 0.0, -0.9)
     spread: Annotated[float, Ge(0.0), Le(0.2)] = 0.03
+    gain: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
+    gain_deviation: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+
+    @property
+    def lever(self) -> float:
+        """Displacement of the object for each radian, at least 1 m/rad.
+
+        An object that shifts without a turn has the longest lever, and its angle is small.
+        """
+        return max(math.hypot(*self.levers), 1.0)
 
 
 @dataclass(frozen=True, slots=True)

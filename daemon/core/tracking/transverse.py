@@ -50,10 +50,11 @@ class TransverseState(Struct, frozen=True, eq=False):
     """Estimate across the conveyor.
 
     Attributes:
-        x: (7 + 2 m + p,): x, z [m], a small rotation [rad]; for each swing its angle and quadrature
-            [rad]; the slopes of x and z for each metre of the conveyor's way; for each swing with a
-            ``spread`` the error of its frequency as a share. Rotation and frequency errors are
-            folded into the fields below after each correction, then 0.
+        x: (7 + 2 m + p + g,): x, z [m], a small rotation [rad]; for each swing its angle and
+            quadrature [rad]; the slopes of x and z for each metre of the conveyor's way; for each
+            swing with a ``spread`` the error of its frequency as a share; for each with a ``gain``
+            that gain. Rotation and frequency errors are folded into the fields below after each
+            correction, then 0.
         rotation: (3, 3) the object at rest in c.
         rejected: measurements rejected in a row.
         frequency_factors: each swing's frequency over the identified one.
@@ -86,12 +87,14 @@ class _Swing:
     Attributes:
         i: where its angle is in x; its quadrature is next to it.
         j: where the error of its factor is in x, -1 if it has none.
+        g: where its gain is in x, -1 if it has none.
     """
 
     mode: SwingMode
     omega: float
     i: int
     j: int
+    g: int
 
     def advance(self, dt: float, factor: float) -> tuple[float, float]:
         """Return the factors of angle and quadrature now in the angle after ``dt`` s."""
@@ -111,7 +114,7 @@ class Transverse:
     @cached_property
     def size(self) -> int:
         """Length of the state's x."""
-        return self._first_factor + sum(mode.spread > 0.0 for mode in self.swing)
+        return self._first_gain + sum(mode.gain > 0.0 for mode in self.swing)
 
     @cached_property
     def _slope(self) -> int:
@@ -124,6 +127,11 @@ class Transverse:
         return self._camera + (CAMERA if self.camera is not None else 0)
 
     @cached_property
+    def _first_gain(self) -> int:
+        """Index of the first gain in x."""
+        return self._first_factor + sum(mode.spread > 0.0 for mode in self.swing)
+
+    @cached_property
     def _camera(self) -> int:
         """Index of the stamp's error; behind it three biases and the offset along the conveyor."""
         return self._slope + 2
@@ -131,12 +139,12 @@ class Transverse:
     @cached_property
     def _swings(self) -> tuple[_Swing, ...]:
         """Each swing with its indices in x."""
-        swings, j = [], self._first_factor
+        swings, j, g = [], self._first_factor, self._first_gain
         for m, mode in enumerate(self.swing):
-            has_factor = mode.spread > 0.0
+            has_factor, has_gain = mode.spread > 0.0, mode.gain > 0.0
             i, omega = STATIC + 2 * m, 2.0 * math.pi * mode.frequency_hz
-            swings.append(_Swing(mode, omega, i, j if has_factor else -1))
-            j += has_factor
+            swings.append(_Swing(mode, omega, i, j if has_factor else -1, g if has_gain else -1))
+            j, g = j + has_factor, g + has_gain
         return tuple(swings)
 
     @cached_property
@@ -177,9 +185,11 @@ class Transverse:
             P[TURN + i, TURN + i] = 0.02**2 + variance[3 + i]
         for swing in self._swings:
             i, j = swing.i, swing.j
-            P[i, i] = P[i + 1, i + 1] = SWING_DEVIATION**2
+            P[i, i] = P[i + 1, i + 1] = (SWING_DEVIATION / swing.mode.lever) ** 2
             if j >= 0:
                 P[j, j] = swing.mode.spread**2
+            if swing.g >= 0:
+                x[swing.g], P[swing.g, swing.g] = swing.mode.gain, swing.mode.gain_deviation**2
         k = self._slope
         P[k, k] = P[k + 1, k + 1] = self.fusion.askew**2
         if self.camera is not None:
@@ -209,6 +219,13 @@ class Transverse:
         F, Q = self._matrices(dt, seating)
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
+        for swing, factor in self._with_factors(state):
+            if swing.g >= 0:
+                # A change of speed within a step is a blow: it moves the quadrature by the speed
+                # that it leaves over the frequency. One that only becomes known is in the prior.
+                left = (speed - state.speed) / (swing.mode.lever * swing.omega * factor)
+                F[swing.i, swing.g] = F[swing.i, swing.i + 1] * -left
+                F[swing.i + 1, swing.g] = F[swing.i + 1, swing.i + 1] * -left
         P = F.dot(state.P).dot(F.T)
         P += Q
         shrinkage = None if state.shrinkage is None else F.dot(state.shrinkage)
@@ -252,11 +269,13 @@ class Transverse:
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
             noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
             noise[k + 4] = ALONG_WALK**2 * dt
-        noise[self._first_factor :] = self.fusion.pace**2 * dt
+        noise[self._first_factor : self._first_gain] = self.fusion.pace**2 * dt
+        noise[self._first_gain :] = 0.0
         for swing in self._swings:
             i = swing.i
             c, s = swing.advance(dt, 1.0)
             F[i : i + 2, i : i + 2] = (c, s), (-s, c)
+            noise[i : i + 2] /= swing.mode.lever**2
         Q = np.diag(noise)
         F.setflags(write=False)
         Q.setflags(write=False)
@@ -470,7 +489,7 @@ class Transverse:
     def folded(self, state: TransverseState, x: Array, P: Array) -> TransverseState:
         """Return the estimate with a corrected x (n,), its rotation and frequencies folded in."""
         low, high = FREQUENCY_FACTORS
-        first, values = self._first_factor, x.tolist()
+        values = x.tolist()
         factors = tuple(
             [
                 min(max(factor + values[swing.j], low), high) if swing.j >= 0 else factor
@@ -479,7 +498,7 @@ class Transverse:
         )
         rotation = rotations.exp(x[TURN:STATIC]).dot(state.rotation)
         x[TURN:STATIC] = 0.0
-        x[first:] = 0.0
+        x[self._first_factor : self._first_gain] = 0.0
         return replace(state, x=x, P=P, rotation=rotation, frequency_factors=factors)
 
     def swing_angles(self, state: TransverseState, times: Array) -> Array:

@@ -619,3 +619,72 @@ class TestCameraErrors:
         right = self.OWN.without_errors(state, off)
         assert right.position[2] == pytest.approx(0.5, abs=0.0003)
         assert right.variance[2] > off.variance[2]
+
+
+SHIFT = SwingMode(
+    1, 0.9, damping=0.02, levers=(0.0, 0.0, 10.0), spread=0.0, gain=0.3, gain_deviation=0.05
+)
+"""A mode that shifts the object along z and does not turn it; stops and starts excite it."""
+STOPS_S, END_S, DECELERATION = 3.0, 3.6, 0.104
+
+
+def speed_at(t: float) -> float:
+    return min(max(SPEED - DECELERATION * (t - STOPS_S), 0.0), SPEED)
+
+
+def shifted(gain: float, rate: float = 2.5e-4) -> Array:
+    """The true shift along z [m] at steps of ``rate``, by its own small steps of the equation."""
+    w, z, v = 2.0 * math.pi * SHIFT.frequency_hz, 0.0, 0.0
+    way = [z]
+    for k in range(round(END_S / rate)):
+        a = -DECELERATION if 0.0 < speed_at(k * rate) < SPEED else 0.0
+        v += rate * (-gain * a - 2.0 * SHIFT.damping * w * v - w * w * z)
+        z += rate * v
+        way.append(z)
+    return np.interp(np.arange(round(END_S / T0) + 1) * T0, np.arange(len(way)) * rate, way)
+
+
+def stopped(mode: SwingMode, *, gain: float, blind_s: float) -> TransverseState:
+    """A filter 0.6 s after the onset of a stop, which saw nothing for the last ``blind_s``."""
+    own = Transverse(FusionSettings(), (mode,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    way, due = shifted(gain), FRAME
+    for k in range(1, len(way)):
+        now = k * T0
+        state = own.predict(state, T0, speed=speed_at(now))
+        if due <= now < END_S - blind_s:
+            due += FRAME
+            place = PLACE + np.array((0.0, 0.0, way[k]))
+            state, taken = own.correct(state, seen(place, rotations.exp(OFF), 0.0, 0.0), GATE)
+            assert taken
+    return state
+
+
+def z_error(mode: SwingMode, *, gain: float, blind_s: float) -> tuple[float, float]:
+    """Error of z at the end, and its deviation [m]."""
+    own, state = Transverse(FusionSettings(), (mode,)), stopped(mode, gain=gain, blind_s=blind_s)
+    H = own.observation_rows(state, 0.0)[1]
+    return float(H @ state.x) - PLACE[2] - shifted(gain)[-1], math.sqrt(float(H @ state.P @ H))
+
+
+def test_a_stop_that_no_image_shows_moves_the_object_by_its_gain() -> None:
+    error, deviation = z_error(SHIFT, gain=SHIFT.gain, blind_s=0.6)
+    assert abs(error) < 0.05e-3
+    assert deviation < 0.5e-3
+    unknown, _ = z_error(replace(SHIFT, gain=0.0), gain=SHIFT.gain, blind_s=0.6)
+    assert abs(unknown) > 1.5e-3
+
+
+def test_another_gain_is_within_the_deviation_and_found_from_images() -> None:
+    error, deviation = z_error(SHIFT, gain=SHIFT.gain + 0.1, blind_s=0.6)
+    assert 0.3e-3 < abs(error) < 3.0 * deviation
+    late = stopped(SHIFT, gain=SHIFT.gain + 0.1, blind_s=0.0)
+    assert SHIFT.gain + 0.03 < float(late.x[-1]) < SHIFT.gain + 0.12
+
+
+def test_a_mode_with_a_long_lever_walks_as_far_at_the_object_as_one_of_a_metre() -> None:
+    own = Transverse(FusionSettings(), (SHIFT,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    later = own.predict(state, T0)
+    grown = float(later.P[STATIC, STATIC]) * SHIFT.lever**2
+    assert grown == pytest.approx(transverse.SWING_DEVIATION**2, rel=0.01)
