@@ -127,6 +127,11 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     if swayed.settings:
         settings = {name: _digits(value) for name, value in swayed.settings.items()}
         overlay.setdefault("tracking", {})["sway"] = settings
+    across = sway.identify_across(fit, seen, bodies, traces, camera, delay)
+    if across:
+        own = overlay.setdefault("tracking", {})
+        kept_swings = own.get("swing") or [_plain(mode) for mode in cell.tracking.swing]
+        own["swing"] = [*kept_swings, *(_plain(mode) for mode in across)]
     if windup.axes:
         overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
     findings = (
@@ -135,6 +140,7 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         *_mode_findings(modes),
         *_swing_findings(swings),
         *sway.findings(swayed),
+        *sway.across_findings(across),
         *conveyor_ramps.findings(conveyor_ramps.identify_ramps(traces, delay)),
         *_camera_findings(vision),
         *_noise_findings(noise, cell.tracking),

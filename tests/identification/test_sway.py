@@ -1,6 +1,7 @@
 """Sway of the body from seen stops: true within its deviation, bounded, or refused."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,10 +10,17 @@ from scipy.integrate import solve_ivp
 from traces import CAMERA, CYCLE_S, trace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.settings import CameraNoise
+from linemate.daemon.core.tracking.settings import CameraNoise, SwingMode
 from linemate.daemon.identification import scene_fit, sway
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.sway import SwayResult, findings, identify_sway
+from linemate.daemon.identification.scene_fit import Views
+from linemate.daemon.identification.sway import (
+    SwayResult,
+    across_findings,
+    findings,
+    identify_across,
+    identify_sway,
+)
 from linemate.daemon.identification.swing import find_swings
 from linemate.daemon.identification.trace import Images, Trace
 
@@ -33,6 +41,7 @@ class Body:
     stamp_error: float = 0.004
     ramps: tuple[tuple[float, float], ...] = RAMPS
     chain: float = 0.0  # amplitude of the error of the conveyor's chain [m]
+    axis: int = 1  # of c, along which the body sways
     seed: int = 0
 
 
@@ -61,7 +70,8 @@ def recorded(body: Body) -> Trace:
     rng = np.random.default_rng(body.seed)
     exposures = np.arange(0.2, SECONDS, 0.025)
     unit, swayed = moved(body, exposures + body.stamp_error)
-    place = np.column_stack((0.0 * unit, unit + swayed, 0.5 + 0.0 * unit))
+    place = np.column_stack((0.0 * unit, unit, 0.5 + 0.0 * unit))
+    place[:, body.axis] += swayed
     deviations = np.tile((body.lateral, body.lateral, 2.0 * body.lateral, 1e-3, 1e-3, 1e-3),
                          (len(unit), 1))  # fmt: skip
     tcp = np.zeros((round((SECONDS + 1.0) / CYCLE_S), 6))
@@ -78,10 +88,19 @@ def recorded(body: Body) -> Trace:
 
 
 def identified(*traces: Trace) -> SwayResult:
+    seen, bodies = viewed(traces)
+    return identify_sway(find_swings(seen, CAMERA), seen, bodies, traces, CAMERA, 0.0)
+
+
+def viewed(traces: Sequence[Trace]) -> tuple[list[Views], list[int]]:
     per_trace = [scene_fit.views(each, CAMERA, CameraNoise()) for each in traces]
     seen = [view for views in per_trace for view in views]
-    bodies = [i for i, views in enumerate(per_trace) for _ in views]
-    return identify_sway(find_swings(seen, CAMERA), seen, bodies, traces, CAMERA, 0.0)
+    return seen, [i for i, views in enumerate(per_trace) for _ in views]
+
+
+def across(trace: Trace) -> list[SwingMode]:
+    seen, bodies = viewed([trace])
+    return identify_across(find_swings(seen, CAMERA), seen, bodies, [trace], CAMERA, 0.0)
 
 
 def within(outcome: Outcome, true: float, times: float = 4.0) -> bool:
@@ -171,3 +190,23 @@ def test_a_camera_too_noisy_for_the_sway_bounds_it_widely() -> None:
         for lateral in (0.5e-3, 3e-3)
     )
     assert noisy > 2.5 * good
+
+
+@pytest.mark.parametrize(("axis", "gain"), [(2, 0.3), (2, -0.3), (0, 0.3)])
+def test_a_sway_across_the_line_is_found_as_a_swing_without_a_turn(axis: int, gain: float) -> None:
+    body = Body(frequency_hz=0.9, gain=gain, axis=axis, seed=3)
+    (mode,) = across(recorded(body))
+    assert mode.frequency_hz == pytest.approx(0.9, abs=4.0 * mode.spread * 0.9)
+    assert mode.gain == pytest.approx(abs(gain), abs=4.0 * mode.gain_deviation)
+    assert mode.gain_deviation < 0.1
+    assert mode.damping == pytest.approx(body.damping, abs=0.01)
+    levers = [0.0, 0.0, 0.0]
+    levers[axis] = math.copysign(sway.LONGEST_LEVER, gain)
+    assert list(mode.levers) == levers
+    names = [line.name for line in across_findings([mode])]
+    assert names == [f"sway across, {'xyz'[axis]}: {what}" for what in ("frequency", "gain")]
+
+
+def test_a_sway_along_the_line_is_none_across_it() -> None:
+    assert across(recorded(Body())) == []
+    assert across(recorded(Body(ramps=()))) == []
