@@ -16,8 +16,9 @@ from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.devices.worlds import MUJOCO, OWN
 from linemate.simulators.harness.cell.families import EGM
 
-_FOLDER = Path(__file__).with_name("data") / "parameters"
-SHIPPED = {OWN: _FOLDER / "identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}
+_DATA = Path(__file__).with_name("data")
+_FOLDER = _DATA / "parameters"
+SHIPPED = {OWN: _DATA / "cells/wheel/identified.yaml", MUJOCO: _FOLDER / "mujoco.yaml"}
 """What was identified of the default cell of each world, by `identify_run`, from recordings."""
 
 BEHIND = {EGM: _FOLDER / "egm.yaml"}

@@ -3,8 +3,8 @@
     python -m linemate.simulators.lab.commission_cell SITE --out DIR
 
 It leaves ``DIR/STEP.mcap``; two for the dry run, and three of the object, of another one each. SITE
-is the folder of a cell: ``linemated.yaml`` and ``scenario.yaml``. What is mounted wrongly is set by
-``--set scenario.KEY=VALUE``.
+is the folder of a cell: ``linemated.yaml``, and ``scenario.yaml`` or else the scenario
+``wheel``. What is mounted wrongly is set by ``--set scenario.KEY=VALUE``.
 
 Invariants:
 - The daemon has SITE's configuration with its overlays; the scenario alone has the truth.
@@ -206,6 +206,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="of the truth, for example scenario.force_torque.sign=-1",
     )  # fmt: skip
     args = parser.parse_args(arguments)
+    if not (args.site / cell_files.CONFIG).is_file():
+        wanted = f"copy a cell's folder, for example {cell_files.DATA}/wheel, and name the copy"
+        print(f"{args.site}: no {cell_files.CONFIG} in it; {wanted}", file=sys.stderr)
+        return 1
     cell = EmulatedCell(args.site, overrides=tuple(args.overrides))
     names = STEPS if args.step is None else (StepName(args.step),)
     for name in names:

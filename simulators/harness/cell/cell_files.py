@@ -19,7 +19,7 @@ from linemate.simulators.harness.cell.variants import SetupError
 
 DATA = Path(__file__).parents[1] / "data" / "cells"
 CONFIG, SCENARIO = "linemated.yaml", "scenario.yaml"
-DEFAULT_SCENARIO = "wheel"
+SHIPPED = DEFAULT_SCENARIO = "wheel"
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class CellFiles:
 
 
 def shipped() -> tuple[str, ...]:
-    """Names of the cells that come with the package; the default one has no name."""
+    """Names of the cells that come with the package."""
     return tuple(sorted(file.parent.name for file in DATA.glob(f"*/{CONFIG}")))
 
 

@@ -10,14 +10,12 @@ import json
 import random
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
-from pathlib import Path
 from typing import Any, Final
 
 from linemate.daemon.config import config, files
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.settings import ControllerKind, ProductionSettings
-from linemate.simulators import harness
 from linemate.simulators.devices.line.cars import Car, LinePlan
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.cell import cell_files
@@ -26,7 +24,6 @@ from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario, Vector3
 
-SHIPPED: Final = Path(harness.__path__[0]) / "data" / "shift"
 STATION: Final = "station.yaml"
 
 
@@ -114,7 +111,7 @@ def station(cell: str | None = None) -> LineStation:
         FileError: every error of the files at once.
         SetupError: no such cell, or no production in it.
     """
-    folder = SHIPPED if cell is None else cell_files.folder(cell)
+    folder = cell_files.folder(cell or cell_files.SHIPPED)
     file = folder / STATION
     if not file.is_file():
         raise SetupError(

@@ -1,6 +1,8 @@
 """Which files a run's cell is made of."""
 
+import shutil
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -51,9 +53,11 @@ def test_a_task_replaces_that_of_the_configuration(tmp_path: Path) -> None:
 
 def test_a_folder_is_a_cell_with_its_scenario(tmp_path: Path) -> None:
     for file in TASKS.glob("dst_six_axes*"):
-        (tmp_path / file.name).write_text(file.read_text().replace("../parameters/", ""))
-    for name in ("identified.yaml", "wheel.yaml"):
-        (tmp_path / name).write_text((TASKS.parent / "parameters" / name).read_text())
+        (tmp_path / file.name).write_text(
+            file.read_text().replace("../cells/wheel/", "").replace("../parameters/", "")
+        )
+    for name in ("cells/wheel/identified.yaml", "parameters/wheel.yaml"):
+        shutil.copy(TASKS.parent / name, tmp_path)
     (tmp_path / "dst_six_axes.yaml").rename(tmp_path / cell_files.CONFIG)
     bare = chosen(cell=str(tmp_path))
     assert bare is not None
@@ -82,11 +86,16 @@ def test_errors_of_a_file_are_those_of_the_daemon(tmp_path: Path) -> None:
 
 
 def test_a_shipped_cell_goes_by_its_name() -> None:
-    assert cell_files.shipped() == ("kr10",)
+    assert cell_files.shipped() == ("kr10", "wheel")
     cell = cell_files.named("kr10")
     assert cell.task.file.name == "mirror"
     with pytest.raises(SetupError, match="near is kr10"):
         chosen(cell="kr1")
+
+
+def test_the_shipped_wheel_by_its_files_is_the_default_cell() -> None:
+    own, default = setup.make("wheel", cell=cell_files.named("wheel")), setup.make("wheel")
+    assert replace(own, station=None) == default
 
 
 def test_another_world_names_the_cell_as_the_reason() -> None:

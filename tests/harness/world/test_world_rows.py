@@ -54,4 +54,4 @@ def test_a_mapping_over_a_list_changes_the_named_items() -> None:
 
 def test_another_scenario_has_no_settings_of_ours() -> None:
     assert world_rows.daemon_settings("stop-early") == {}
-    assert world_rows.daemon_settings("../parameters/identified") == {}
+    assert world_rows.daemon_settings("../parameters/wheel") == {}
