@@ -83,13 +83,13 @@ def _summary(step: WalkStep, record: StepRecordOfSite) -> str:
         step.name.value,
         _WORDS[record.outcome],
         record.when or "-",
-        _duration_text(record),
+        duration_text(record),
         rests,
     )
     return f"| {' | '.join(map(_cell, cells))} |"
 
 
-def _duration_text(record: StepRecordOfSite) -> str:
+def duration_text(record: StepRecordOfSite) -> str:
     """Return how long a step took as minutes and seconds."""
     if not record.took_s:
         return "-"

@@ -60,6 +60,23 @@ def test_a_step_can_be_left_out_with_a_reason(
     assert "no such sensor" in capsys.readouterr().out
 
 
+def test_the_list_shows_how_long_a_step_took(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = StepRecordOfSite(StepOutcome.MEASURED, took_s=75.0)
+    opened = site_files.open_site(site, "linemated.yaml")
+    site_files.write_state(opened, SiteState({StepName.LINKS: record}))
+    assert run(site, "--list") == 0
+    assert "1 min 15 s" in capsys.readouterr().out
+
+
+def test_a_step_says_what_it_builds_on_and_goes_on(
+    site: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(site, "--step", "signs", "--skip", "no arm") == 0
+    assert "links, which has no result yet. It goes on without" in capsys.readouterr().err
+
+
 def test_the_page_says_what_is_not_measured(site: Path) -> None:
     run(site, "--step", "force", "--skip", "no such sensor")
     assert run(site, "--step", "page") == 0

@@ -108,13 +108,15 @@ def main(args: argparse.Namespace) -> int:
 def listing(state: "SiteState") -> str:
     """Return the steps with their results."""
     from linemate.daemon.commissioning import walk
+    from linemate.daemon.commissioning.page import duration_text
 
     rows = []
     for step in walk.STEPS:
         record = state.of(step.name)
         what = record.overlay or record.reason or ""
-        rows.append((step.name.value, record.outcome.value, record.when, what, step.about))
-    return render.table(("step", "result", "when", "overlay or reason", "measures"), rows)
+        took = duration_text(record)
+        rows.append((step.name.value, record.outcome.value, record.when, took, what, step.about))
+    return render.table(("step", "result", "when", "took", "overlay or reason", "measures"), rows)
 
 
 def _perform(
@@ -126,7 +128,9 @@ def _perform(
 
     print(f"\n{step.name.value}: {step.about}")
     for need in state.missing(step.name):
-        console.complain(f"{step.name.value} builds on {need.value}, which has no result yet")
+        console.complain(
+            f"{step.name.value} builds on {need.value}, which has no result yet. It goes on without"
+        )
     when = datetime.now().astimezone().isoformat(timespec="seconds")
     begin_s = time.monotonic()
     if args.skip is not None:
