@@ -351,6 +351,10 @@ def _add_shift(commands: "Commands[CommandLine]") -> None:
         "--cell", metavar="NAME|DIR",
         help="a shipped cell, or a folder with station.yaml; the shipped wheel in five variants",
     )  # fmt: skip
+    shift.add_argument(
+        "--controller", choices=("rsi", "fanuc", "egm"),
+        help="rsi; the others are refused: no line is emulated behind them yet",
+    )  # fmt: skip
     shift.add_argument("--seed", type=int, default=0, metavar="N")
     shift.add_argument(
         "--takt", type=_seconds, default=57.6, metavar="S", help="from car to car at least; 57.6"

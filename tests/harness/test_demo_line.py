@@ -14,6 +14,7 @@ from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.demo import DemoStation
 from linemate.simulators.harness.line import demo_line, line_station
 from linemate.simulators.harness.line.demo_line import LineLog
+from linemate.simulators.lab.shift import shift
 
 STATION = line_station.station()
 PLAIN = Namespace(
@@ -80,6 +81,14 @@ def test_an_option_that_a_line_does_not_have_is_refused(option: str, value: obje
     given = Namespace(**vars(PLAIN) | {option: value})
     with pytest.raises(SetupError, match=f"leave --{option.replace('_', '-')} out"):
         demo_line.main(given)
+
+
+def test_a_line_behind_another_controller_is_refused_by_one_line() -> None:
+    reason = "--controller fanuc: car after car is emulated behind RSI alone"
+    for command in (demo_line.main, shift.main):
+        with pytest.raises(SetupError, match=f"^{reason}$"):
+            command(Namespace(**vars(PLAIN) | {"controller": "fanuc"}))
+    line_station.refuse_other_family("rsi")
 
 
 def test_a_cell_without_a_production_is_refused(tmp_path: Path) -> None:

@@ -99,7 +99,8 @@ def _refuse_others(args: Namespace) -> None:
     Raises:
         SetupError: one is given.
     """
-    names = ("config", "task", "scenario", "controller", "cycle_ms")
+    line_station.refuse_other_family(args.controller)
+    names = ("config", "task", "scenario", "cycle_ms")
     given = [name for name in names if getattr(args, name) is not None]
     given += ["world"] if args.world != OWN else []
     given += [name for name in ("strict", "view") if getattr(args, name)]

@@ -25,6 +25,7 @@ from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario, Vector3
 
 STATION: Final = "station.yaml"
+RSI_ALONE: Final = "car after car is emulated behind RSI alone"
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,11 +123,21 @@ def station(cell: str | None = None) -> LineStation:
     if loaded.config.production is None:
         raise SetupError(f"{file}: has no section production")
     if loaded.config.controller.kind is not ControllerKind.RSI:
-        raise SetupError(f"{file}: car after car is emulated behind RSI alone")
+        raise SetupError(f"{file}: {RSI_ALONE}")
     truth = folder / cell_files.SCENARIO
     name = str(truth) if truth.is_file() else scenario_file.DEFAULT
     scenario = scenario_file.load(name, CellFiles(loaded.task, loaded).nominal)
     return LineStation(loaded, replace(scenario, cycle_s=loaded.cycle_s))
+
+
+def refuse_other_family(controller: str | None) -> None:
+    """Refuse a controller behind which no line is emulated.
+
+    Raises:
+        SetupError: it is not RSI.
+    """
+    if controller not in {None, ControllerKind.RSI.value}:
+        raise SetupError(f"--controller {controller}: {RSI_ALONE}")
 
 
 def plan(station: LineStation, cars: int, seed: int, takt_s: float) -> LinePlan:

@@ -58,11 +58,12 @@ def main(args: Namespace) -> int:
     """Run a shift and print what became of it.
 
     Args:
-        args: cars, cell, seed, takt, faulty, workers, minutes, opc_ua, scheduler, json.
+        args: cars, cell, controller, seed, takt, faulty, workers, minutes, opc_ua, scheduler, json.
 
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
     """
+    line_station.refuse_other_family(args.controller)
     station = line_station.station(args.cell)
     cars = plan.draw(args.cars, args.seed, station, args.faulty)
     longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
