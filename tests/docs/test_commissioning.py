@@ -34,8 +34,10 @@ def ran(line: str, folder: Path) -> str:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     copies = [shlex.split(line) for line in LINES if line.startswith("cp ")]
-    ((_, _, source, target),) = copies
-    assert PAGE.parents[1] / source == cell_files.DATA / "kr10"
+    assert {PAGE.parents[1] / source for _, _, source, _ in copies} == {
+        cell_files.DATA / name for name in cell_files.shipped()
+    }
+    _, _, source, target = copies[0]
     shutil.copytree(PAGE.parents[1] / source, tmp_path / target)
     return tmp_path
 
