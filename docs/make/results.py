@@ -16,7 +16,14 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from docs.make import contact_results, lag_results, peer_results, shift_results, world_results
+from docs.make import (
+    commission_results,
+    contact_results,
+    lag_results,
+    peer_results,
+    shift_results,
+    world_results,
+)
 from linemate.simulators.judge.statistics import seed_text
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -104,6 +111,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     **{name: (text, lag_results.rows) for name, text in lag_results.COMMANDS.items()},
     **{name: (text, campaign) for name, text in lag_results.CAMPAIGNS.items()},
     **{name: (text, peer_results.rows) for name, text in peer_results.COMMANDS.items()},
+    **{name: (text, commission_results.rows) for name, text in commission_results.COMMANDS.items()},
 }  # fmt: skip
 
 
@@ -356,6 +364,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "cycles-touch": lambda: lag_results.by_cycle(load, is_stored),
     "families": lambda: lag_results.by_family(load, is_stored),
     "peers": lambda: peer_results.table(load),
+    "commission-steps": lambda: commission_results.steps(load, is_stored),
+    "commission-mountings": lambda: commission_results.mountings(load, is_stored),
     "contact-growing": lambda: contact_results.growing(load, is_stored),
     "readme": readme,
     "demo": output,

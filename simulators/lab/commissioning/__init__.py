@@ -1,0 +1,1 @@
+"""Commissioning of emulated cells: the time of its steps, and wrong mountings."""
