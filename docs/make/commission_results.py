@@ -57,12 +57,14 @@ def mountings(load: Load, is_stored: Callable[[str], bool]) -> str:
     lines = ["| mounted wrongly | step | wheel | kr10 |", "|---|---|---|---|"]
     for what, cells in by_what.items():
         step = next(iter(cells.values()))["step"]
-        gave = [_gave(cells[name]) if name in cells else "" for name in ("wheel", "kr10")]
-        lines.append(f"| {what} | `{step}` | {' | '.join(gave)} |")
+        cells_text = [
+            _result_text(cells[name]) if name in cells else "" for name in ("wheel", "kr10")
+        ]
+        lines.append(f"| {what} | `{step}` | {' | '.join(cells_text)} |")
     return "\n".join(lines)
 
 
-def _gave(row: Result) -> str:
+def _result_text(row: Result) -> str:
     if "refused" in row:
         return f"refused, {'an overlay' if row['written'] else 'nothing'} written: {row['refused']}"
     off = [f"{value:.2g} {unit} off" for unit, value in row["off"].items()]
@@ -71,7 +73,7 @@ def _gave(row: Result) -> str:
 
 def _by(listed: list[Result], key: str) -> dict[str, dict[str, Result]]:
     """Return the rows by a key, and of each its cells by name."""
-    found: dict[str, dict[str, Result]] = {}
+    rows: dict[str, dict[str, Result]] = {}
     for row in listed:
-        found.setdefault(row[key], {})[row["cell"]] = row
-    return found
+        rows.setdefault(row[key], {})[row["cell"]] = row
+    return rows

@@ -114,8 +114,10 @@ def listing(state: "SiteState") -> str:
     for step in walk.STEPS:
         record = state.of(step.name)
         what = record.overlay or record.reason or ""
-        took = duration_text(record)
-        rows.append((step.name.value, record.outcome.value, record.when, took, what, step.about))
+        duration = duration_text(record)
+        rows.append(
+            (step.name.value, record.outcome.value, record.when, duration, what, step.about)
+        )
     return render.table(("step", "result", "when", "took", "overlay or reason", "measures"), rows)
 
 

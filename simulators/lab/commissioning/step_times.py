@@ -53,8 +53,8 @@ def _of_children_s() -> float:
 
 def _length(path: Path) -> int:
     """Return the number of cycles in a recording."""
-    steps = read(path).steps
-    return steps[-1].counter - steps[0].counter
+    counters = [step.counter for step in read(path).steps if step.counter is not None]
+    return counters[-1] - counters[0]
 
 
 def main() -> int:

@@ -59,30 +59,30 @@ def _turn_mrad(quaternion: Any, truth: Any) -> float:
     return 1e3 * float(np.linalg.norm(rotations.log(off)))
 
 
-def _camera(found: Overlay, _cell: EmulatedCell) -> Errors:
-    mount = found["task"]["arm"]["camera_in_tcp"]
+def _camera(overlay: Overlay, _cell: EmulatedCell) -> Errors:
+    mount = overlay["task"]["arm"]["camera_in_tcp"]
     off = np.subtract(mount["position"], CAMERA_PLACE)
     turned = _turn_mrad(mount["quaternion"], CAMERA_TURN)
     return {"mm": 1e3 * float(np.linalg.norm(off)), "mrad": turned}
 
 
-def _sensor(found: Overlay, cell: EmulatedCell) -> Errors:
-    arm, payload = found["task"]["arm"], found["tracking"]["payload"]
+def _sensor(overlay: Overlay, cell: EmulatedCell) -> Errors:
+    arm, payload = overlay["task"]["arm"], overlay["tracking"]["payload"]
     return {
         "mrad": _turn_mrad(arm["sensor_in_tcp"]["quaternion"], SENSOR_TURN),
         "kg": abs(payload["mass"] - site_copy.TOOL_MASS[cell.site.name]),
     }
 
 
-def _line(found: Overlay, cell: EmulatedCell) -> Errors:
+def _line(overlay: Overlay, cell: EmulatedCell) -> Errors:
     off = np.subtract(
-        found["task"]["conveyor"]["axis"], commission_run.line_direction(cell.setup())
+        overlay["task"]["conveyor"]["axis"], commission_run.line_direction(cell.setup())
     )
     return {"mrad": 1e3 * float(np.linalg.norm(off))}
 
 
-def _object(found: Overlay, cell: EmulatedCell) -> Errors:
-    nominal, place = cell.setup().task.object.nominal, found["task"]["object"]["nominal"]
+def _object(overlay: Overlay, cell: EmulatedCell) -> Errors:
+    nominal, place = cell.setup().task.object.nominal, overlay["task"]["object"]["nominal"]
     axes = rotations.matrix(nominal.quaternion)
     off = axes.T @ np.subtract(place["position"], nominal.position) - OFFSET
     turned = rotations.exp(np.array(TURN)).T @ axes.T @ rotations.matrix(tuple(place["quaternion"]))

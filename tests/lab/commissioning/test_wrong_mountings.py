@@ -19,20 +19,20 @@ def turned(vector: tuple[float, float, float]) -> list[float]:
     return list(rotations.quaternion(matrix))
 
 
-def test_an_error_of_the_camera_is_told_in_mm_and_mrad() -> None:
+def test_an_error_of_the_camera_is_in_mm_and_mrad() -> None:
     place = np.add(wrong.CAMERA_PLACE, (0.0, 3e-3, 4e-3)).tolist()
     mount = {"position": place, "quaternion": turned(wrong.CAMERA_TURN)}
     found = wrong._camera({"task": {"arm": {"camera_in_tcp": mount}}}, KR10)
     assert found == pytest.approx({"mm": 5.0, "mrad": 2.0})
 
 
-def test_an_error_of_the_sensor_is_told_in_mrad_and_kg() -> None:
+def test_an_error_of_the_sensor_is_in_mrad_and_kg() -> None:
     arm = {"sensor_in_tcp": {"quaternion": turned(wrong.SENSOR_TURN)}}
     overlay = {"task": {"arm": arm}, "tracking": {"payload": {"mass": 5.9}}}
     assert wrong._sensor(overlay, KR10) == pytest.approx({"mrad": 2.0, "kg": 0.1})
 
 
-def test_an_error_of_the_line_is_told_in_mrad() -> None:
+def test_an_error_of_the_line_is_in_mrad() -> None:
     cell = EmulatedCell(KR10.site, overrides=("scenario.conveyor.effects.askew=[0.01, 0.0]",))
     found = wrong._line({"task": {"conveyor": {"axis": [0.0, 1.0, 0.0]}}}, cell)
     assert found == pytest.approx({"mrad": 10.0}, abs=1e-3)
