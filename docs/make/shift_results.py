@@ -10,7 +10,9 @@ Result = dict[str, Any]
 Load = Callable[[str], Result]
 Has = Callable[[str], bool]
 
-COMMANDS = {"shift": "linemate-sim shift --cars 500 --seed 5 --workers 2 --minutes 54 --json"}
+COMMANDS = {
+    "shift": "linemate-sim shift --cars 500 --seed 5 --workers 2 --minutes 90 --opc-ua --json"
+}
 ORDERS = ("arm", "start", "home", "retreat", "stop")
 NOT_MEASURED = "Not measured yet: `make results NAME=shift`."
 
