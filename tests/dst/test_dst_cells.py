@@ -24,14 +24,15 @@ def test_a_cell_has_files_that_fit_and_limits_for_seven_axes(cell: str) -> None:
     parameters = compiled(0.012, cell)
     assert rehearse(parameters).complaints == ()
     assert len(parameters.controller.limits.names) == (6 if cell == "six-axes" else 7)
-    config = station_of(3.0, 4, cell).config
-    assert (config.rsi.cycle_ms, config.realtime.lead_ms) == (4, 3.0)
+    loaded = station_of(3.0, 4, cell)
+    assert (loaded.cycle_s, loaded.config.realtime.lead_ms) == (0.004, 3.0)
+    config = loaded.config
     device = None if config.force_torque is None else config.force_torque.device
     assert device == CELLS[cell].force_torque
 
 
 def test_what_can_be_drawn_is_what_there_is() -> None:
-    assert {SHIPPED, *dst_plan.CELLS} == set(CELLS)
+    assert {SHIPPED, *dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS} == set(CELLS)
 
 
 def test_the_second_layout_tells_set_positions() -> None:

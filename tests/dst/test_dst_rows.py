@@ -12,7 +12,7 @@ import pytest
 from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
 from linemate.simulators.lab.faults import dst_plan, dst_plan_rows, dst_run
-from linemate.simulators.lab.faults.dst_cells import CELLS, TASKS
+from linemate.simulators.lab.faults.dst_cells import TASKS
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 from linemate.simulators.plants.contact_plant import WHEEL_RELEASED, ContactPlant
@@ -227,7 +227,7 @@ def test_x17_a_telegram_with_an_unreadable_value_is_answered(
     lived(Fault(FREE_S, "robot", "unreadable", lasting_s, share))
 
 
-@pytest.mark.parametrize("cell", sorted(set(CELLS) - {""}))
+@pytest.mark.parametrize("cell", sorted(dst_plan.CELLS))
 def test_other_cells_assemble_the_wheel(cell: str) -> None:
     simulation = lived(cell=cell, duration_s=2.6)
     assert simulation.world.released_s is not None
@@ -311,5 +311,5 @@ def test_a_quarter_of_the_seeds_draws_a_row_and_every_row_and_cell_is_drawn() ->
     plans = [dst_plan.draw(seed) for seed in range(2000)]
     assert {plan.row for plan in plans if plan.row} == set(dst_plan_rows.ROWS)
     assert all(plan.row for plan in plans[3::4])
-    assert {plan.cell for plan in plans} == set(CELLS)
+    assert {plan.cell for plan in plans} == {"", *dst_plan.CELLS}
     assert {plan.operators for plan in plans} == {0, 1, 2}

@@ -1,14 +1,17 @@
 """Telegrams that are not the controller's own, and who may be answered with a correction."""
 
 import re
+from functools import partial
 
 from linemate.drivers.udp.datagrams import Address
-from linemate.simulators.lab.faults.dst_cells import rest_pose, station
+from linemate.simulators.lab.faults.dst_controllers import second
+from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_strangers import (
     FIRST,
     OTHER_ADDRESS,
     OTHER_PORT,
     SECOND,
+    SECOND_IPOC,
     Strangers,
 )
 from linemate.simulators.plants.scenario import Fault
@@ -27,7 +30,7 @@ class Wire:
 
 
 def strangers() -> Strangers:
-    return Strangers(station().controller_file, rest_pose(), 0.012, 12)
+    return Strangers(partial(second, FaultPlan(1), SECOND_IPOC), 0.012, 12)
 
 
 def test_forged_telegrams_count_on_their_own_in_the_controllers_name() -> None:

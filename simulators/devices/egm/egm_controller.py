@@ -137,14 +137,28 @@ class EgmController:
         """Why the instruction ended, None while it goes on."""
         return self._run.ended
 
+    @property
+    def standing(self) -> Seven:
+        """Where the servos are sent behind filter and loop, A1..A6 [rad], E1 [m]."""
+        return cast(Seven, self._run.guidance.position)
+
+    def jump(self, cycles: int | None) -> None:
+        """Let the sequence number of the messages jump; the run goes on.
+
+        Args:
+            cycles: how far, None: to 0.
+        """
+        run = self._run
+        run.sequence = _U32 - 1 if cycles is None else (run.sequence + cycles) % _U32
+        run.last_sequence = None
+
     def restart(self, setpoints: Seven | None = None) -> None:
         """Run EGMRunJoint again: the robot is guided from where it stands.
 
         Args:
             setpoints: where that is, A1..A6 [rad], E1 [m]; None: where it was sent last.
         """
-        standing = cast(Seven, self._run.guidance.position)
-        self._run = self._new_run(standing if setpoints is None else setpoints, 0)
+        self._run = self._new_run(self.standing if setpoints is None else setpoints, 0)
 
     def begin(self) -> None:
         """Count and charge from the next cycle on, in the same run."""

@@ -168,6 +168,29 @@ class FanucController:
         """Reset the alarm, as the operator does."""
         self.alarm = None
 
+    def restart(self, setpoints: Seven | None = None) -> None:
+        """Reset the alarm and run the program again; the stream goes on.
+
+        Args:
+            setpoints: where the robot stands, A1..A6 [rad], E1 [m]; None: where it was sent last.
+        """
+        pose = self.setpoints if setpoints is None else setpoints
+        self.alarm, self.is_program_running = None, True
+        self._gate = SetpointGate(pose, self.config.limits, self.config.cycle_s)
+        self.judge.start(pose)
+        stream = self._stream
+        stream.is_answered, stream.silent, stream.accepted = False, 0, None
+
+    def jump(self, cycles: int | None) -> None:
+        """Let the number of the packets jump; the stream goes on.
+
+        Args:
+            cycles: how far, None: to 0.
+        """
+        stream = self._stream
+        stream.sequence = _U32 - 1 if cycles is None else (stream.sequence + cycles) % _U32
+        stream.answered = None
+
     def begin(self) -> None:
         """Count and charge from the next cycle on, in the same stream."""
         self.counts, self.delay = ControllerCounts(), 0

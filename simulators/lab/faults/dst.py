@@ -22,6 +22,9 @@ from typing import get_args
 from linemate.simulators.lab.faults import dst_plan
 from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, FaultPlan
 
+Drawn = partial[FaultPlan]
+"""Draws the plan of a seed: the campaign's cycle and cell are its keywords."""
+
 AGAIN_EVERY = 50
 CHUNK = 10
 MOST_SEEDS = 10_000_000
@@ -40,9 +43,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    drawn = partial(dst_plan.draw, cycle_ms=args.cycle_ms, cell=args.cell)
     if args.trace:
         for seed in args.trace.split(","):
-            print(seed, _live(dst_plan.draw(int(seed), args.cycle_ms))[1], flush=True)
+            print(seed, _live(drawn(int(seed)))[1], flush=True)
         return 0
     try:
         seeds = _seeds(args.seeds)
@@ -50,7 +54,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"dst: {error}", file=sys.stderr)
         return 2
     keep = None if args.forget else args.keep
-    return _run_seeds(seeds, args.cycle_ms, max(1, args.workers), keep, args.seconds)
+    return _run_seeds(seeds, drawn, max(1, args.workers), keep, args.seconds)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -59,7 +63,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("seeds", nargs="?", default="0:100", help="FIRST:LAST, half open")
     parser.add_argument(
-        "--cycle-ms", type=int, choices=get_args(CycleMs), default=12, help="of the controller"
+        "--cycle-ms",
+        type=int,
+        choices=get_args(CycleMs),
+        help="of the controller (12; fanuc 8, egm 4)",
+    )
+    parser.add_argument(
+        "--cell", choices=tuple(dst_plan.FAMILY_CYCLES_MS), help="another family of controllers"
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")
@@ -81,15 +91,13 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _run_seeds(
-    seeds: range, cycle_ms: CycleMs, workers: int, keep: Path | None, seconds: float
-) -> int:
+def _run_seeds(seeds: range, drawn: Drawn, workers: int, keep: Path | None, seconds: float) -> int:
     """Run all seeds that there is time for, then some of them again."""
     begun = time.monotonic()
     failed: list[tuple[int, tuple[str, ...]]] = []
     traces: dict[int, str] = {}
     done = 0
-    for done, (seed, violations, digest) in enumerate(_lives(seeds, cycle_ms, workers), 1):
+    for done, (seed, violations, digest) in enumerate(_lives(seeds, drawn, workers), 1):
         if violations:
             failed.append((seed, violations))
             for what in violations:
@@ -102,11 +110,11 @@ def _run_seeds(
         if passed_s > seconds:
             break
     lived_s = time.monotonic() - begun
-    different = list(_different(traces, cycle_ms))
+    different = list(_different(traces, drawn))
     for seed in different:
         print(f"seed {seed}: determinism: another trace in another process", flush=True)
     if keep is not None:
-        _keep(failed, cycle_ms, keep)
+        _keep(failed, drawn, keep)
     print(f"{60.0 * done / lived_s:.0f} runs a minute, {len(traces)} of them twice")
     count = len(failed) + len(different)
     print(f"{done} runs, {count} violations")
@@ -114,9 +122,9 @@ def _run_seeds(
 
 
 def _lives(
-    seeds: Iterable[int], cycle_ms: CycleMs, workers: int
+    seeds: Iterable[int], drawn: Drawn, workers: int
 ) -> Iterator[tuple[int, tuple[str, ...], str]]:
-    settle, live = partial(_settle, cycle_ms), partial(_live_seed, cycle_ms)
+    settle, live = partial(_settle, drawn), partial(_live_seed, drawn)
     if workers == 1:
         settle()
         try:
@@ -132,18 +140,19 @@ def _lives(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _settle(cycle_ms: CycleMs) -> None:
+def _settle(drawn: Drawn) -> None:
     """Load and compile what all runs share, and let the collector leave it alone."""
     from linemate.simulators.lab.faults import dst_cells
 
-    dst_cells.compiled(FaultPlan(0, cycle_ms=cycle_ms).cycle_s)
+    plan = drawn(0)
+    dst_cells.compiled(plan.cycle_s, plan.cell)
     gc.collect()
     gc.freeze()
     gc.disable()
 
 
-def _live_seed(cycle_ms: CycleMs, seed: int) -> tuple[int, tuple[str, ...], str]:
-    violations, digest = _live(dst_plan.draw(seed, cycle_ms))
+def _live_seed(drawn: Drawn, seed: int) -> tuple[int, tuple[str, ...], str]:
+    violations, digest = _live(drawn(seed))
     if seed % CHUNK == 0:
         gc.collect()
     return seed, violations, digest
@@ -156,12 +165,13 @@ def _live(plan: FaultPlan) -> tuple[tuple[str, ...], str]:
     return outcome.violations, outcome.digest
 
 
-def _different(traces: dict[int, str], cycle_ms: CycleMs) -> Iterator[int]:
+def _different(traces: dict[int, str], drawn: Drawn) -> Iterator[int]:
     """Seeds whose trace is another one in a process with another hash seed."""
     if not traces:
         return
     command = [sys.executable, "-m", __spec__.name if __spec__ else __name__]
-    command += ["--cycle-ms", str(cycle_ms)]
+    for name, value in drawn.keywords.items():
+        command += [] if value is None else [f"--{name.replace('_', '-')}", str(value)]
     command += ["--trace", ",".join(map(str, traces))]
     environment = {**os.environ, "PYTHONHASHSEED": str(1 + min(traces) % 4_000_000_000)}
     done = subprocess.run(  # noqa: S603 - ourselves
@@ -171,7 +181,7 @@ def _different(traces: dict[int, str], cycle_ms: CycleMs) -> Iterator[int]:
     yield from (seed for seed, digest in traces.items() if again.get(str(seed)) != digest)
 
 
-def _keep(failed: list[tuple[int, tuple[str, ...]]], cycle_ms: CycleMs, path: Path) -> None:
+def _keep(failed: list[tuple[int, tuple[str, ...]]], drawn: Drawn, path: Path) -> None:
     """Shrink what failed and add it to the regressions, one of a kind."""
     kinds: set[str] = set()
     for seed, violations in failed:
@@ -179,7 +189,7 @@ def _keep(failed: list[tuple[int, tuple[str, ...]]], cycle_ms: CycleMs, path: Pa
         if kind in kinds:
             continue
         kinds.add(kind)
-        plan = shrink(dst_plan.draw(seed, cycle_ms), kind)
+        plan = shrink(drawn(seed), kind)
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(f"# {violations[0][:160]}\n{plan.to_line()}\n")

@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.rsi_controller import RsiController
+from linemate.simulators.lab.faults import dst_controllers
+from linemate.simulators.lab.faults.dst_controllers import Controller, StrictFamily
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
@@ -48,7 +49,8 @@ class SimulatedRun(Protocol):
     plan: FaultPlan
     world: World
     plant: RobotPlant
-    controller: RsiController
+    controller: Controller
+    strict: StrictFamily
     oracle: FaultOracle
     app: App | None
     robot: "Programme"
@@ -72,6 +74,8 @@ class Programme:
         breaks: how often the exchange broke off.
         is_answered: a reply moved the robot in the closed cycle.
         orders: the tool's signals, as ordered.
+        is_sent: the open cycle has a telegram.
+        leads: the program runs in the open cycle, and lets the daemon lead.
     """
 
     def __init__(self, simulation: SimulatedRun) -> None:
@@ -83,7 +87,8 @@ class Programme:
         self._pose = self._plant.start
         self._from = self._pose
         self._took_s = 1.0
-        self._sent = self._is_open = False
+        self._is_open = False
+        self.leads = self.is_sent = False
         self.quiet_s = float("-inf")
         self.homing_s = 0.0
         self.breaks = 0
@@ -96,14 +101,15 @@ class Programme:
         if self._paused_until_s is None:
             # Drives that are off stay where they are, whatever the controller was sent in between.
             is_braked = self._braked_until_s is not None
-            self._from = self._pose = self._pose if is_braked else self._controller.setpoints
+            where = self._pose if is_braked else dst_controllers.standing(self._controller)
+            self._from = self._pose = where
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
 
     def brake(self, now_s: float, duration_s: float) -> None:
         """Drives off: the axes stand where they were sent last, whatever comes."""
         if self._paused_until_s is None:
             self._braked_until_s = max(now_s + duration_s, self._braked_until_s or now_s)
-            self._pose = self._controller.setpoints
+            self._pose = dst_controllers.standing(self._controller)
 
     def home(self, now_s: float) -> None:
         """Drive to the rest pose without RSI; the program starts again there.
@@ -114,7 +120,7 @@ class Programme:
         if world.contact == "clamped":
             world.digital_out(RELEASE_WHEEL)
             opening_s = OPENING_S
-        self._from, self._pose = self._controller.setpoints, self._plant.start
+        self._from, self._pose = dst_controllers.standing(self._controller), self._plant.start
         way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
         self._took_s = max(HOMING_S, way / HOMING_SPEED)
         self._paused_until_s = now_s + opening_s + self._took_s
@@ -148,23 +154,27 @@ class Programme:
         if self._paused_until_s is not None and now_s >= self._paused_until_s:
             self._paused_until_s = None
             self._controller.restart(setpoints=self._pose)
-        if self._paused_until_s is not None:
-            self._sent = False
-            return None
-        data = self._controller.telegram()
-        self._sent = data is not None
+        self.leads = self._paused_until_s is None
+        dst_controllers.show(
+            self._controller, is_running=self.leads, has_drives=self._braked_until_s is None
+        )
+        if self.leads:
+            data = self._controller.telegram()
+        else:
+            data = dst_controllers.paused_telegram(self._controller)
+        self.is_sent = data is not None
         return data
 
     def close(self) -> Vector7:
         """Close the cycle and move; returns where the axes are sent."""
-        if not self._sent:
+        if not self.leads:
             self.is_answered = False
             self._stand()
             return self._pose
-        applied = self._controller.end_of_cycle()
+        applied = self._simulation.strict.end_of_cycle(self._simulation.world.time_s)
         self.is_answered, self.orders = applied.answered, applied.digital_out
         if self._braked_until_s is not None:
-            applied = replace(applied, setpoints=self._pose)
+            applied = replace(applied, setpoints=self._pose, motion=None)
         self._plant.apply(applied)
         return applied.setpoints
 

@@ -9,11 +9,13 @@ from pathlib import Path
 
 from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.settings import ControllerKind
 from linemate.daemon.core.control.settings import AxisLimits
 from linemate.daemon.core.parameters import Parameters
 from linemate.simulators import harness
 from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
+from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.lockstep import parameters
 from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
 from linemate.simulators.plants.conveyor_plan import Conveyor, StopSignal
@@ -73,6 +75,8 @@ CELLS: dict[str, FaultCell] = {
         stop_bit=4,
     ),
     "no-force": FaultCell("dst_no_force.yaml", force_torque=None),
+    "fanuc": FaultCell("dst_fanuc.yaml"),
+    "egm": FaultCell("dst_egm.yaml"),
 }
 """By the name that a plan has."""
 
@@ -87,11 +91,14 @@ def station(cell: str = SHIPPED) -> LoadedConfig:
 def station_of(lead_ms: float, cycle_ms: CycleMs, cell: str = SHIPPED) -> LoadedConfig:
     """Return the same with how early replies are prepared and the controller's cycle [ms]."""
     plain = station(cell)
-    changed = replace(
-        plain.config,
-        rsi=replace(plain.config.rsi, cycle_ms=cycle_ms),
-        realtime=replace(plain.config.realtime, lead_ms=lead_ms),
-    )
+    config = replace(plain.config, realtime=replace(plain.config.realtime, lead_ms=lead_ms))
+    match config.controller.kind:
+        case ControllerKind.FANUC:
+            changed = replace(config, fanuc=replace(config.fanuc, cycle_ms=cycle_ms))
+        case ControllerKind.EGM:
+            changed = replace(config, egm=replace(config.egm, cycle_ms=cycle_ms))
+        case _:
+            changed = replace(config, rsi=replace(config.rsi, cycle_ms=cycle_ms))
     return replace(plain, config=changed)
 
 
@@ -120,7 +127,7 @@ def rest_pose(cell: str = SHIPPED) -> Vector7:
 def scenario_of(plan: FaultPlan) -> Scenario:
     """Return the plant's truth: a body nearly where it should be, and the shipped clamp."""
     cell = CELLS[plan.cell]
-    return Scenario(
+    scenario = Scenario(
         name="dst",
         seed=plan.seed,
         cycle_s=plan.real_cycle_s,
@@ -134,3 +141,4 @@ def scenario_of(plan: FaultPlan) -> Scenario:
         contact=Contact(nutrunner_s=SCREWS_S),
         faults=plan.faults,
     )
+    return families.truth(station(plan.cell).config.controller.kind.value, scenario)

@@ -47,6 +47,8 @@ class FaultOracle:
         now_s: scenario time of the cycle that is judged [s].
         holds: returns where the robot was sent last; a daemon that learns how much of what it sent
             was thrown away begins again from there.
+        is_driven: returns whether the controller takes no commands and moves the robot by itself,
+            while its packets go on. The command follows the robot then, and is not sent.
     """
 
     def __init__(self, cycle_s: float, braking: tuple[float, ...]) -> None:
@@ -60,6 +62,7 @@ class FaultOracle:
         self.states: set[str] = set()
         self.story: list[str] = []
         self.holds: Callable[[], tuple[float, ...]] = tuple
+        self.is_driven: Callable[[], bool] = bool
         self._cycle_s = cycle_s
         self._braking = braking
         self._speeds = (0.0,) * len(braking)
@@ -158,7 +161,7 @@ class FaultOracle:
             for old, new in zip(self._command, outputs.command, strict=True)
         ]
         self._command = outputs.command
-        if state not in QUIET:
+        if state not in QUIET or self.is_driven():
             self._resting, self._speeds, self._held = 0, tuple(moves), self.holds()
             return
         if not self._resting:

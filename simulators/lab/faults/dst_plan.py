@@ -20,8 +20,8 @@ from linemate.simulators.lab.faults import dst_plan_rows
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 
-CycleMs = Literal[4, 12]
-"""The controller's cycles: KUKA has these."""
+CycleMs = Literal[4, 8, 12]
+"""The controller's cycles: KUKA has 4 and 12, FANUC 8, ABB multiples of 4."""
 
 SHORTEST_S, LONGEST_S = 1.4, 2.1
 """Scenario time at which a run may end [s]; the lead-in of 0.6 s comes before, and whatever an
@@ -83,6 +83,16 @@ CATALOGUE = 3
 """Of four seeds the one that draws a row of the second catalogue, and nothing else."""
 OTHER_CELLS = 0.15
 CELLS = ("second-layout", "six-axes", "ft300", "tf03", "no-force")
+FAMILY_CYCLES_MS: dict[str, CycleMs] = {"fanuc": 8, "egm": 4}
+"""Cells of the other families of controllers, and their cycles: drawn only if asked for, so that
+no seed of the others changes."""
+MEANINGLESS: dict[str, frozenset[str]] = {
+    "fanuc": frozenset({"ipoc_flip", "unreadable", "exponent", "forged", "readdress"}),
+    "egm": frozenset({"ipoc_flip", "unreadable", "exponent", "forged"}),
+}
+"""Kinds of faults that a family has not. The first four are changes to RSI's text; ``flip`` strikes
+the bytes of the others, counters included. A FANUC controller answers whom it was asked by, and is
+asked at one address."""
 OVER_PROTOCOL = 0.2
 """Shares of the plans with another cell, and with orders over the command protocol."""
 
@@ -141,7 +151,7 @@ class FaultPlan:
     @property
     def quiet_s(self) -> float:
         """Scenario time after which nothing troubles any more [s]; -inf without faults."""
-        return max((_end(fault) for fault in self.faults), default=float("-inf"))
+        return max((end_of(fault) for fault in self.faults), default=float("-inf"))
 
     def to_line(self) -> str:
         """One line of JSON."""
@@ -161,8 +171,21 @@ def from_line(line: str) -> FaultPlan:
     return FaultPlan(**plain)
 
 
-def draw(seed: int, cycle_ms: CycleMs = 12) -> FaultPlan:
-    """The plan of a seed; the same trouble for any cycle."""
+def draw(seed: int, cycle_ms: CycleMs | None = None, cell: str | None = None) -> FaultPlan:
+    """The plan of a seed; the same trouble for any cycle and family of controllers.
+
+    Args:
+        cycle_ms: None: 12, or the cell's own.
+        cell: one of ``FAMILY_CYCLES_MS``; None draws among those with RSI.
+    """
+    if cell is not None:
+        plan = _draw(seed, cycle_ms or FAMILY_CYCLES_MS[cell])
+        faults = tuple(f for f in plan.faults if f.kind not in MEANINGLESS[cell])
+        return replace(plan, cell=cell, faults=faults)
+    return _draw(seed, cycle_ms or 12)
+
+
+def _draw(seed: int, cycle_ms: CycleMs) -> FaultPlan:
     chance = random.Random(f"{seed}/plan")  # noqa: S311 - noise, not a secret
     duration_s = round(chance.uniform(SHORTEST_S, LONGEST_S), 3)
     plan = FaultPlan(
@@ -249,7 +272,7 @@ def _in_time(faults: Any) -> tuple[Fault, ...]:
     return tuple(sorted(faults, key=lambda fault: (fault.at_s, fault.link, fault.kind)))
 
 
-def _end(fault: Fault) -> float:
-    """When the last piece that a fault touched has arrived [s]."""
+def end_of(fault: Fault) -> float:
+    """Return when the last piece that a fault touched has arrived [s]."""
     late_s = {"delay": 1.0, "jitter": 8.0}.get(fault.kind, 0.0) * fault.value
     return fault.at_s + fault.duration_s + late_s

@@ -52,6 +52,9 @@ OVERLOAD_S = 0.06
 """A sensor that says so much [N] ends TRACK and CONTACT within this time [s]."""
 UNANSWERED_S = 0.12
 """A new session, or one that has to be proven, may cost so much [s]."""
+RESTING_UNANSWERED_S = 0.6
+"""The same for a controller that says nothing of the setpoint in force. Its robot has to rest for
+0.12 s first, after servos that settle; FANUC's stream is asked for every 0.5 s [s]."""
 MOST_CYCLE_OFF = 0.055
 """A controller whose cycle is farther off must not lead: row X16."""
 UNFELT_S = 0.4
@@ -123,6 +126,7 @@ class PlantOracle:
         cycle_off: float = 0.0,
         *,
         has_rail: bool = True,
+        unanswered_s: float = UNANSWERED_S,
     ) -> None:
         """Begin before the first cycle.
 
@@ -131,7 +135,9 @@ class PlantOracle:
             cycle_s: of the controller [s].
             cycle_off: by what share the controller's cycle is not the configured one.
             has_rail: the daemon moves E1.
+            unanswered_s: longest time without answers to telegrams that were heard [s].
         """
+        self._unanswered_s = unanswered_s
         self.excused: list[str] = []
         self._world, self._emitters, self._cycle_s = world, emitters, cycle_s
         self._blame = blame
@@ -303,7 +309,7 @@ class PlantOracle:
         ready = seen.state is not None and seen.programme and seen.is_heard
         ready = ready and seen.now_s > seen.busy_s + self._cycle_s
         unanswered_s = self._lasting("unanswered", ready and not seen.answered, seen.now_s)
-        if unanswered_s > UNANSWERED_S:
+        if unanswered_s > self._unanswered_s:
             self._once("answer", f"none for {unanswered_s:.3f} s to telegrams that were heard")
         if seen.state in BOUND and abs(self._cycle_off) > MOST_CYCLE_OFF:
             self._once(

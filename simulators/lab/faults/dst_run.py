@@ -32,22 +32,28 @@ from linemate.simulators.harness.virtual.inhabited import inhabited
 from linemate.simulators.harness.virtual.virtual_loop import VirtualLoop
 from linemate.simulators.harness.virtual.virtual_time import EPOCH_NS, VirtualTime
 from linemate.simulators.harness.virtual.virtual_wires import RSI_PORT, TRANSIT_NS, VirtualWires
+from linemate.simulators.lab.faults import dst_controllers
 from linemate.simulators.lab.faults.dst_actors import Operator, Programme
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
     LEAD_IN_S,
     MOUNT_M,
-    axis_limits,
     compiled,
     scenario_of,
     station,
     station_of,
 )
+from linemate.simulators.lab.faults.dst_controllers import StrictFamily
 from linemate.simulators.lab.faults.dst_log import MOST_LINES, LogCounter
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_plan import MOST_DRIFT, FaultPlan
-from linemate.simulators.lab.faults.dst_plant_oracles import PlantOracle, Seen
-from linemate.simulators.lab.faults.dst_strangers import Strangers
+from linemate.simulators.lab.faults.dst_plant_oracles import (
+    RESTING_UNANSWERED_S,
+    UNANSWERED_S,
+    PlantOracle,
+    Seen,
+)
+from linemate.simulators.lab.faults.dst_strangers import SECOND_IPOC, Strangers
 from linemate.simulators.plants.contact_plant import FIX_SCREWS
 from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
@@ -116,29 +122,20 @@ class Simulation:
         """Begin at the lead-in, daemon and controller just started."""
         self.plan = plan
         scenario, files = scenario_of(plan), station(plan.cell)
-        if files.controller_file is None:
-            raise ValueError(f"the fault campaign runs over RSI: {plan.cell} has none")
         cell = CELLS[plan.cell]
         self.world = World(scenario)
         self.plant = RobotPlant(self.world)
-        self.controller = RsiController(
-            files.controller_file,
-            self.plant.read,
-            self.plant.start,
-            ControllerConfig(
-                # The controller counts in the cycle that it says it has.
-                cycle_s=plan.cycle_s,
-                timeout_rule="row" if plan.rule == "row" else "total",
-                limits=axis_limits(plan.cell),
-            ),
-        )
+        self.controller = dst_controllers.build(plan, self.plant.read, self.plant.start)
+        self._is_rsi = isinstance(self.controller, RsiController)
         brake = files.config.control.brake
         braking = (*(brake.acceleration,) * 6, brake.axis_acceleration)
         axes = 7 if files.task.file.arm.linear_axis else 6
         self.oracle = FaultOracle(plan.real_cycle_s, braking[:axes])
         self.oracle.holds = lambda: self.controller.setpoints
+        self.strict = StrictFamily(self.controller, plan, self.oracle.blame)
         self.app: App | None = None
         self.robot = Programme(self)
+        self.oracle.is_driven = lambda: not self.robot.leads and self.robot.is_sent
         self.operator = Operator(self)
         self.tracked_s = float("-inf")
         self._faults = Faults(scenario.faults)
@@ -159,10 +156,13 @@ class Simulation:
             self.oracle.blame,
             plan.cycle_off,
             has_rail=files.task.file.arm.linear_axis,
+            unanswered_s=UNANSWERED_S if self._is_rsi else RESTING_UNANSWERED_S,
         )
         self._ready_s = float("-inf")
         self._strangers = Strangers(
-            files.controller_file, self.plant.start, plan.cycle_s, self.controller.config.ipoc_step
+            partial(dst_controllers.second, plan, SECOND_IPOC),
+            plan.cycle_s,
+            ControllerConfig(plan.cycle_s).ipoc_step,
         )
         self._telegram = b""
         self._is_readable = True
@@ -376,7 +376,7 @@ class Simulation:
 
     def _is_heard(self, now_s: float) -> bool:
         """Return whether nothing keeps telegrams and replies from arriving."""
-        return not any(
+        return self.robot.is_sent and not any(
             fault.at_s - 0.1 <= now_s <= fault.at_s + fault.duration_s + UNHEARD_S
             for link in ("robot", "reply", "daemon")
             for fault in self._faults.of(link)
@@ -462,7 +462,8 @@ class Simulation:
         """The daemon has sent a datagram."""
         del source
         self._hash.update(data)
-        self.oracle.reply(data)
+        if self._is_rsi:
+            self.oracle.reply(data)
         forged = self._strangers.moved_by(data)
         if forged is not None:
             self.oracle.blame(forged)
@@ -475,6 +476,11 @@ class Simulation:
 
     def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
+        self.strict.judge_reply(_seconds(self._time.now_ns))
+        for answer in dst_controllers.answers(self.controller):
+            self._wires.send(
+                self._time.now_ns + TRANSIT_NS, answer, self._strangers.source, RSI_PORT
+            )
 
     def _plug(self, now_s: float) -> None:
         for link in ("distance", "force_torque"):

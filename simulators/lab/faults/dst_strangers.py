@@ -9,15 +9,14 @@ from collections import deque
 from collections.abc import Callable
 
 from linemate.drivers.udp.datagrams import Address
-from linemate.protocol.rsi.codec import RsiConfig
-from linemate.simulators.devices.rsi_controller import ControllerConfig, RobotReading, RsiController
-from linemate.simulators.plants.scenario import Fault, Vector7
+from linemate.simulators.lab.faults.dst_controllers import Controller
+from linemate.simulators.plants.scenario import Fault
 
 FIRST: Address = ("127.0.0.1", 50_000)
 OTHER_PORT: Address = ("127.0.0.1", 50_010)
 OTHER_ADDRESS: Address = ("127.0.0.2", 50_000)
 SECOND: Address = ("127.0.0.1", 50_001)
-_SECOND_IPOC = 77_000
+SECOND_IPOC = 77_000
 FORGED_AHEAD = 1000
 """Cycles by which a forged counter is ahead of the true one, if the fault does not say."""
 _IPOC = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
@@ -35,18 +34,19 @@ class Strangers:
         source: where the controller's own telegrams come from.
     """
 
-    def __init__(self, rsi: RsiConfig, pose: Vector7, cycle_s: float, ipoc_step: int) -> None:
+    def __init__(
+        self, make_second: Callable[[], Controller], cycle_s: float, ipoc_step: int
+    ) -> None:
         """Begin without datagrams.
 
         Args:
-            rsi: the site's RSI configuration.
-            pose: where a second controller's robot stands.
+            make_second: gives a second controller, whose robot stands still.
             cycle_s: of the controllers [s].
             ipoc_step: what a counter grows by each cycle.
         """
         self.source = FIRST
-        self._rsi, self._pose, self._cycle_s, self._step = rsi, pose, cycle_s, ipoc_step
-        self._second: RsiController | None = None
+        self._make_second, self._cycle_s, self._step = make_second, cycle_s, ipoc_step
+        self._second: Controller | None = None
         self._forged: deque[bytes] = deque(maxlen=64)
 
     def second(self, now_s: float, *, is_there: bool, send: Send) -> None:
@@ -55,13 +55,7 @@ class Strangers:
             self._second = None
             return
         if self._second is None:
-            pose = self._pose
-            self._second = RsiController(
-                self._rsi,
-                lambda: RobotReading(pose, (0.0,) * 6),
-                pose,
-                ControllerConfig(cycle_s=self._cycle_s, first_ipoc=_SECOND_IPOC),
-            )
+            self._second = self._make_second()
         data = self._second.telegram()
         self._second.end_of_cycle()
         if data is not None:

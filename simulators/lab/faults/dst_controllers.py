@@ -1,0 +1,170 @@
+"""Robot controllers of a fault run by family: how each is made, stopped and disturbed.
+
+Invariants:
+    RSI's controller is made as ever. A rule of another family never applies to it.
+    A rule reads the plan and the controller, never the daemon.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+
+from linemate.daemon.config.config import LoadedConfig
+from linemate.daemon.config.settings import ControllerKind
+from linemate.protocol.fanuc.packets import PacketKind, write_short
+from linemate.simulators.devices.egm.egm_controller import EgmConfig, EgmController
+from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, FanucController
+from linemate.simulators.devices.rsi_controller import (
+    Applied,
+    ControllerConfig,
+    RobotReading,
+    RsiController,
+)
+from linemate.simulators.lab.faults.dst_cells import axis_limits, rest_pose, station
+from linemate.simulators.lab.faults.dst_plan import FaultPlan, end_of
+from linemate.simulators.plants.scenario import Vector7
+
+Controller = RsiController | FanucController | EgmController
+
+UNCERTAIN = {
+    "robot": frozenset({"deafness", "delay", "jitter", "reorder", "flip"}),
+    "reply": frozenset({"silence", "loss", "delay", "jitter", "duplicate", "reorder", "truncate"}),
+}
+"""Faults after which the daemon cannot know which setpoint is in force, for no packet of these
+families says what became of a reply: replies lost, late or doubled on the network, and a bit
+flipped in a position that a plan begins from. docs/egm.md, docs/fanuc.md."""
+UNCERTAIN_S = 0.1
+"""So long after such a fault it still acts [s]."""
+EXPECTED = frozenset({"not_ready", "no_stream", "unclean_stop", "sequence"})
+"""Refusals that cost nothing: a command in flight as motion or stream ended, and EGM's
+reply to an older message."""
+
+
+def family(cell: str) -> ControllerKind:
+    """Return the family of a cell's controller."""
+    return station(cell).config.controller.kind
+
+
+def build(
+    plan: FaultPlan,
+    read: Callable[[], RobotReading],
+    pose: Vector7,
+    *,
+    first: int | None = None,
+) -> Controller:
+    """Return the controller of a plan's cell before its first cycle.
+
+    Args:
+        pose: where its robot stands, A1..A6 [rad], E1 [m].
+        first: its first counter, None for its family's own.
+    """
+    files, limits = station(plan.cell), axis_limits(plan.cell)
+    match files.config.controller.kind:
+        case ControllerKind.FANUC:
+            return _fanuc(files, plan, read, pose)
+        case ControllerKind.EGM:
+            robotware = files.config.egm.robotware
+            egm = EgmConfig(plan.cycle_s, first or 0, robotware=robotware, limits=limits)
+            return EgmController(read, pose, egm)
+    assert files.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without it
+    own = ControllerConfig(
+        # The controller counts in the cycle that it says it has.
+        cycle_s=plan.cycle_s,
+        first_ipoc=ControllerConfig().first_ipoc if first is None else first,
+        timeout_rule="row" if plan.rule == "row" else "total",
+        limits=limits,
+    )
+    return RsiController(files.controller_file, read, pose, own)
+
+
+def _fanuc(
+    files: LoadedConfig, plan: FaultPlan, read: Callable[[], RobotReading], pose: Vector7
+) -> FanucController:
+    own = FanucConfig(
+        plan.cycle_s,
+        files.config.fanuc.version,
+        files.config.fanuc.coupled,
+        has_rail=files.task.file.arm.linear_axis,
+        signals_byte=files.config.fanuc.signals_byte,
+        limits=axis_limits(plan.cell),
+    )
+    return FanucController(read, pose, own)
+
+
+# What the cell does to its controller.
+
+
+def standing(controller: Controller) -> Vector7:
+    """Return where the robot is sent, A1..A6 [rad], E1 [m]."""
+    return controller.standing if isinstance(controller, EgmController) else controller.setpoints
+
+
+def show(controller: Controller, *, is_running: bool, has_drives: bool) -> None:
+    """Let a controller's telegrams say whether its program runs and its drives are on.
+
+    RSI's say neither. EGM sends none while RAPID is between two runs.
+    """
+    if isinstance(controller, FanucController):
+        controller.is_program_running = is_running
+        controller.is_emergency_stop = not has_drives
+    elif isinstance(controller, EgmController):
+        controller.is_motors_on = has_drives
+
+
+def paused_telegram(controller: Controller) -> bytes | None:
+    """Return a controller's telegram while its program does not run, None if it sends none."""
+    return controller.telegram() if isinstance(controller, FanucController) else None
+
+
+def answers(controller: Controller) -> list[bytes]:
+    """Return the answers to requests of the daemon, oldest first."""
+    return controller.take_answers() if isinstance(controller, FanucController) else []
+
+
+class StrictFamily:
+    """Judges what FANUC and EGM controllers refuse. RSI counts it in ``Delay``.
+
+    A setpoint beyond a limit is refused here, and never reaches the judge of setpoints.
+    """
+
+    def __init__(
+        self, controller: Controller, plan: FaultPlan, blame: Callable[[str], None]
+    ) -> None:
+        """Begin before the first cycle."""
+        self._controller, self._blame = controller, blame
+        self._is_judged = not isinstance(controller, RsiController)
+        self._seen: Counter[str] = Counter()
+        self._uncertain = [
+            (fault.at_s, end_of(fault) + UNCERTAIN_S)
+            for fault in plan.faults
+            if fault.kind in UNCERTAIN.get(fault.link, ())
+        ]
+
+    def is_uncertain(self, now_s: float) -> bool:
+        """Return whether the daemon cannot know which setpoint is in force."""
+        return any(begin_s <= now_s <= end_s for begin_s, end_s in self._uncertain)
+
+    def judge_reply(self, now_s: float) -> None:
+        """Report what was refused since the last call, and is the daemon's own doing."""
+        if not self._is_judged or self._seen == self._controller.refusals:
+            return
+        for reason in self._controller.refusals - self._seen:
+            if reason not in EXPECTED and not self.is_uncertain(now_s):
+                text = self._controller.messages[-1] if self._controller.messages else ""
+                self._blame(f"refused: {reason}: {text}")
+        self._seen = self._controller.refusals.copy()
+
+    def end_of_cycle(self, now_s: float) -> Applied:
+        """Close a cycle. Only place and speed of a setpoint two steps ahead are judged."""
+        if self._is_judged and self.is_uncertain(now_s):
+            self._controller.judge.slip()
+        return self._controller.end_of_cycle()
+
+
+def second(plan: FaultPlan, first: int) -> Controller:
+    """Return another controller of the same family, whose robot stands at the rest pose."""
+    pose = rest_pose(plan.cell)
+    controller = build(plan, lambda: RobotReading(pose, (0.0,) * 6), pose, first=first)
+    if isinstance(controller, FanucController):
+        controller.on_reply(write_short(PacketKind.START, controller.config.version))
+        controller.jump(first)
+    return controller
