@@ -293,7 +293,7 @@ class Session:
         A robot that was moved may coast to a stop. Its position then is not its setpoint.
         """
         program = self._program
-        if program is not None and program.moved and not self._has_rested(axes):
+        if program is not None and _was_led(program, axes) and not self._has_rested(axes):
             why = "the setpoint in force is unknown: the robot still moves. Wait."
             self.decline(why, axes, peer)
             self.proof = Proof.PENDING
@@ -454,6 +454,12 @@ class Session:
     def refrain(self) -> None:
         """A cycle passed, or passes, without a command: the robot holds in it."""
         self.was_sent = self.moves = False
+
+
+def _was_led(program: Program, axes: Axes) -> bool:
+    """Return whether a robot was led since a program began, by this daemon or by its controller."""
+    ways = zip(axes, program.pending, strict=True)
+    return program.moved or any(abs(now - sent) >= STILL for now, sent in ways)
 
 
 def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:

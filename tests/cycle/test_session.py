@@ -161,6 +161,19 @@ def test_a_moved_robot_gets_no_position_after_a_gap_before_it_rests() -> None:
     assert rested == 20 + 9 - 1
 
 
+@pytest.mark.parametrize(("away", "waits"), [(0.0, False), (0.001, True)])
+def test_a_robot_that_its_own_program_led_elsewhere_gets_no_position_before_it_rests(
+    away: float, waits: bool
+) -> None:
+    session = Session(CYCLE_S, POSITIONS)
+    assert proven(session, telegram(1, 12.0, None, THERE)) == (THERE, THERE)
+    session.open(THERE, THERE, None)
+    session.note_reply(THERE, telegram(1, 12.0, None, THERE), "robot", STEP)
+    elsewhere = (THERE[0] + away, *THERE[1:])
+    found = session.prove(telegram(60, 12.7, None, elsewhere), elsewhere, None, "robot")
+    assert (found is None) is waits
+
+
 def test_a_controller_that_takes_no_setpoint_needs_a_proof_once_it_does() -> None:
     session = running(POSITIONS)
     session.decline("the controller takes no setpoints: E-stop.", SENT, "robot")
