@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -45,14 +44,12 @@ def test_the_cell_has_six_axes_and_no_other_file_than_its_own() -> None:
     assert len(station().config.control.limits) == 6
 
 
-def test_parts_are_assembled_within_limits_although_the_line_stops_and_restarts() -> None:
+def test_a_part_is_assembled_within_limits_although_the_line_stops_and_restarts() -> None:
     made = setup.make(cell_files.scenario(None, CELL), cell=CELL)
-    results = [judge(lockstep.run(made, seed)) for seed in range(3)]
-    assert all(result["within_limits"] for result in results), results
-    assert max(result["control_error"]["stop"]["max_mm"] for result in results) < 0.1
-    impacts = [result["total_error"]["impact"]["max_mm"] for result in results]
-    assert median(impacts) < 0.25
-    assert max(impacts) < 0.6
+    result = judge(lockstep.run(made, 0))
+    assert result["within_limits"], result
+    assert result["control_error"]["stop"]["max_mm"] < 0.1
+    assert result["total_error"]["impact"]["max_mm"] < 0.5
 
 
 def test_the_shipped_task_fits_the_arm() -> None:

@@ -45,6 +45,11 @@ class MergePlan:
     matrices: Array
     stride: int
 
+    @property
+    def first_free(self) -> int:
+        """First step at which a goal may get a corner: behind all that a merge reads."""
+        return self.commit + (2 if self.matrices.shape[2] > ORDER else 1)
+
 
 def compile_merge(
     settings: MergeSettings, dead_time: float, cycle_s: float, steps: int, *, later: bool

@@ -94,8 +94,8 @@ def _changed_ramp(tracker: Tracker, ramp: ClockRamp, now: int, rate: int) -> Clo
         now: time of the clock [steps].
     """
     T0 = tracker.cycle_s
-    # A merge reads up to the step that is committed by a share, and amplifies a corner there.
-    delay = tracker.commit + 2
+    # A merge amplifies a corner in what it reads by (tau/T0)^4.
+    delay = tracker.merge_free.first_free
     last = now + delay + math.ceil(clock_ramp.LONGEST_S / T0)
     way = np.diff(tracker.table.relative[max(now - delay, 0) : last, :3], axis=0)
     speed = math.sqrt(float((way * way).sum(axis=1).max(initial=0.0))) / T0
