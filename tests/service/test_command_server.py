@@ -515,7 +515,9 @@ def test_a_cycle_polls_unless_the_loop_watches_and_no_one_subscribes(tmp_path: P
             core.on_datagram(link.recv(65536), time.monotonic_ns())
             port.open_window(loop, time.monotonic_ns() + 10**10, 2)
             polls.append(port.has_to_poll)
-            link.send(core.request("subscribe", {"rate_hz": 10.0}, time.monotonic_ns()).frame)
+            link.send(
+                core.request("subscribe", {"rate_hz": 10.0}, time.monotonic_ns() + 10**9).frame
+            )
             await asyncio.sleep(0.02)
             return [*polls, port.has_to_poll]
 
