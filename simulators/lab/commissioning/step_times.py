@@ -31,7 +31,7 @@ def timed(name: str, step: StepName, folder: Path) -> dict[str, Any]:
     recorded_s = 0.0
     if step in commission_cell.STEPS:
         files = commission_cell.recorded(cell, step, folder)
-        recorded_s = sum(_length(path) for path in files) * cell.setup().scenario.cycle_s
+        recorded_s = sum(_length_s(path) for path in files)
         words = ["--from", *files]
     began_s = _of_children_s()
     record = site_copy.commission(site, step, *words)
@@ -51,10 +51,10 @@ def _of_children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _length(path: Path) -> int:
-    """Return the number of cycles in a recording."""
-    counters = [step.counter for step in read(path).steps if step.counter is not None]
-    return counters[-1] - counters[0]
+def _length_s(path: Path) -> float:
+    """Return how long a recording lasts [s]. The counter's unit differs between controllers."""
+    stamps_ns = [step.inputs.stamp_ns for step in read(path).steps]
+    return 1e-9 * (stamps_ns[-1] - stamps_ns[0])
 
 
 def main() -> int:
