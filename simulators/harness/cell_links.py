@@ -6,6 +6,7 @@ Invariants:
 """
 
 from dataclasses import replace
+from typing import Literal
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.settings import ControllerKind, Corrections
@@ -72,30 +73,42 @@ def pair(
     station = setup.station
     if station is None or station.config.controller.kind.value != setup.controller:
         return families.pair(setup.controller, plant, cycle_s, on_rail=on_rail, limits=limits)
-    controller = _controller(station, plant, cycle_s, limits, on_rail=on_rail)
-    return controller, build_link(station, parameters)
+    emulated = controller(station, plant, cycle_s, limits, on_rail=on_rail)
+    if isinstance(emulated, FanucController):
+        emulated.on_reply(packets.write_short(PacketKind.START, emulated.config.version))
+    return emulated, build_link(station, parameters)
 
 
-def _controller(
+def controller(
     station: LoadedConfig,
     plant: RobotPlant,
     cycle_s: float,
     limits: tuple[AxisLimit, ...],
     *,
     on_rail: bool,
-) -> EmulatedController:
-    """Return the emulated controller that a configuration belongs to."""
+    timeout_rule: Literal["total", "row"] = "total",
+) -> RsiController | FanucController | EgmController:
+    """Return the emulated controller that a configuration belongs to; FANUC's has no stream yet.
+
+    Args:
+        limits: of the emulated controller, A1..A6 and E1.
+        on_rail: the arm stands on a linear axis.
+        timeout_rule: how RSI counts late replies.
+    """
     config = station.config
     if config.controller.kind is ControllerKind.FANUC:
         plain = FanucConfig(cycle_s, config.fanuc.version, config.fanuc.coupled, limits=limits)
         own = replace(plain, has_rail=on_rail, signals_byte=config.fanuc.signals_byte)
-        fanuc = FanucController(plant.read, plant.start, own)
-        fanuc.on_reply(packets.write_short(PacketKind.START, own.version))
-        return fanuc
+        return FanucController(plant.read, plant.start, own)
     if config.controller.kind is ControllerKind.EGM:
         guided = EgmConfig(cycle_s, robotware=config.egm.robotware, limits=limits)
         return EgmController(plant.read, plant.start, guided)
     assert station.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
     relative = config.rsi.corrections is Corrections.RELATIVE
-    rsi = ControllerConfig(cycle_s, mode="relative" if relative else "absolute", limits=limits)
+    rsi = ControllerConfig(
+        cycle_s,
+        timeout_rule=timeout_rule,
+        mode="relative" if relative else "absolute",
+        limits=limits,
+    )
     return RsiController(station.controller_file, plant.read, plant.start, rsi)

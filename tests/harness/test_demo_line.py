@@ -14,7 +14,6 @@ from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.demo import DemoStation
 from linemate.simulators.harness.line import demo_line, line_station
 from linemate.simulators.harness.line.demo_line import LineLog
-from linemate.simulators.lab.shift import shift
 
 STATION = line_station.station()
 PLAIN = Namespace(
@@ -83,12 +82,18 @@ def test_an_option_that_a_line_does_not_have_is_refused(option: str, value: obje
         demo_line.main(given)
 
 
-def test_a_line_behind_another_controller_is_refused_by_one_line() -> None:
-    reason = "--controller fanuc: car after car is emulated behind RSI alone"
-    for command in (demo_line.main, shift.main):
-        with pytest.raises(SetupError, match=f"^{reason}$"):
-            command(Namespace(**vars(PLAIN) | {"controller": "fanuc"}))
-    line_station.refuse_other_family("rsi")
+def test_a_line_behind_another_controller_has_its_period_and_the_cells_files() -> None:
+    plain = line_station.station()
+    for family, cycle_s in (("fanuc", 8e-3), ("egm", 4e-3)):
+        line = line_station.station(None, family)
+        assert line.files.config.controller.kind.value == family
+        assert (line.scenario.cycle_s, line.files.cycle_s) == (cycle_s, cycle_s)
+        assert (line.hubs, line.entry_s, line.variants) == (
+            plain.hubs,
+            plain.entry_s,
+            plain.variants,
+        )
+    assert line.files.config.control.servos != plain.files.config.control.servos
 
 
 def test_a_cell_without_a_production_is_refused(tmp_path: Path) -> None:

@@ -95,6 +95,20 @@ def test_the_lines_controller_types_no_order(outcome: ShiftOutcome) -> None:
     assert outcome.requests["announce"] == len(CARS)
 
 
+@pytest.mark.parametrize("family", ["fanuc", "egm"])
+def test_a_shift_behind_another_controller_mounts_and_reports_the_same_cars(
+    family: str, tmp_path: Path
+) -> None:
+    records = tmp_path / "records"
+    records.mkdir()
+    made = line_station.behind(station(tmp_path), family)
+    outcome = run(made, CARS, TAKT_S, records)
+    result = shift.judge([outcome], 1)
+    assert made.files.config.controller.kind.value == family
+    assert result["good"], as_json(result)
+    assert {row["id"] for row in result["cars"] if row["mounted"]} >= set(GOOD)
+
+
 def test_a_line_that_speaks_opc_ua_alone_drives_a_shift(tmp_path: Path) -> None:
     """asyncua's client against the server of ``linemate plc``, in another process."""
     records = tmp_path / "records"

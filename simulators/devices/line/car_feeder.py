@@ -16,6 +16,7 @@ from linemate.simulators.devices.line.cars import Car, CarTruth, LinePlan
 from linemate.simulators.plants.scenario import Scenario
 
 STANDS_S = 0.5  # time without a new setpoint after which the robot stands [s]
+STILL = 1e-9  # change of a setpoint that is none: a filter goes on for ever [rad, m a cycle]
 STUCK_S = 180.0  # the line gives up if the robot does not stand for so long after the takt [s]
 
 
@@ -54,7 +55,7 @@ class CarFeeder:
         self._plan, self._cycle_s = plan, template.cycle_s
         self._next = 0
         self._due_s = plan.first_s
-        self._setpoints: tuple[float, ...] = ()
+        self._setpoints: tuple[float, ...] = template.robot.start
         self._standing = 0
         self._impact_mm: float | None = None
 
@@ -74,7 +75,8 @@ class CarFeeder:
             setpoints: of the robot in the cycle before, A1..A6 [rad], E1 [m].
             cycle: number of the controller's cycle that begins.
         """
-        self._standing = self._standing + 1 if setpoints == self._setpoints else 0
+        is_still = all(abs(a - b) < STILL for a, b in zip(setpoints, self._setpoints, strict=True))
+        self._standing = self._standing + 1 if is_still else 0
         self._setpoints = setpoints
         self._judge()
         now_s = self.line.time_s

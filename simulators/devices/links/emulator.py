@@ -217,7 +217,7 @@ class Emulator:
         if self._feeder is None:
             self.truth.end(applied, turnaround_ns)
         self._plant.apply(applied)
-        self._feed(applied.setpoints)
+        self._feed(applied.motion or applied.setpoints)
         self._lay_out()
         self._suffer(self.world.time_s)
         self._look_for_end()

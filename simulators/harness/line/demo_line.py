@@ -78,7 +78,7 @@ def main(args: Namespace) -> int:
         SetupError: an option that a line of cars does not have, or a cell without a line.
     """
     _refuse_others(args)
-    station = line_station.station(args.cell)
+    station = line_station.station(args.cell, args.controller)
     out = args.out or Path("out/demo")
     refused = host.missing_rights()
     if refused is not None:
@@ -99,7 +99,6 @@ def _refuse_others(args: Namespace) -> None:
     Raises:
         SetupError: one is given.
     """
-    line_station.refuse_other_family(args.controller)
     names = ("config", "task", "scenario", "cycle_ms")
     given = [name for name in names if getattr(args, name) is not None]
     given += ["world"] if args.world != OWN else []
@@ -122,7 +121,8 @@ def perform(line: LineStation, cars: int, seed: int, out: Path) -> dict[str, Any
         folder = Path(name)
         (folder / "records").mkdir()
         cores = host.shared_out() if host.missing_rights() is None else ((), ())
-        station = DemoStation(folder, scenario, cores, cell=line.cell())
+        family = line.files.config.controller.kind.value
+        station = DemoStation(folder, scenario, cores, controller=family, cell=line.cell())
         sections = line.daemon_sections(str(folder / "records"))
         log, telegrams = _run(station, sections, plan)
         out.mkdir(parents=True, exist_ok=True)

@@ -8,24 +8,29 @@ Invariants:
 
 import json
 import random
+import tempfile
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
+from pathlib import Path
 from typing import Any, Final
+
+import yaml
 
 from linemate.daemon.config import config, files
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import DAEMON_DATA
-from linemate.daemon.config.settings import ControllerKind, ProductionSettings
+from linemate.daemon.config.settings import ProductionSettings
 from linemate.simulators.devices.line.cars import Car, LinePlan
-from linemate.simulators.harness import scenario_file
-from linemate.simulators.harness.cell import cell_files
+from linemate.simulators.harness import identified_overlay, scenario_file
+from linemate.simulators.harness.cell import cell_files, cell_station, families
 from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario, Vector3
 
 STATION: Final = "station.yaml"
-RSI_ALONE: Final = "car after car is emulated behind RSI alone"
+NOWHERE: Final = 1
+"""Port of a controller that the daemon asks, until the links of a run are known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +94,11 @@ class LineStation:
         """Return the station as the cell of a run."""
         return CellFiles(self.files.task, self.files)
 
-    def daemon_sections(self, records: str) -> dict[str, Any]:
+    def daemon_sections(self, records: str | None = None) -> dict[str, Any]:
         """Return the section of the daemon's file that makes it a production.
 
         Args:
-            records: directory of the quality records.
+            records: directory of the quality records, if it keeps any.
         """
         base = self.files.path.parent
         section: dict[str, Any] = json.loads(json.dumps(asdict(self.production)))
@@ -105,8 +110,11 @@ class LineStation:
 
 
 @cache
-def station(cell: str | None = None) -> LineStation:
+def station(cell: str | None = None, family: str | None = None) -> LineStation:
     """Return the station of a shipped cell or of a folder; None: of the shipped wheel.
+
+    Args:
+        family: of the controller; None: that of the cell.
 
     Raises:
         FileError: every error of the files at once.
@@ -122,22 +130,27 @@ def station(cell: str | None = None) -> LineStation:
     loaded = config.load(file)
     if loaded.config.production is None:
         raise SetupError(f"{file}: has no section production")
-    if loaded.config.controller.kind is not ControllerKind.RSI:
-        raise SetupError(f"{file}: {RSI_ALONE}")
     truth = folder / cell_files.SCENARIO
     name = str(truth) if truth.is_file() else scenario_file.DEFAULT
     scenario = scenario_file.load(name, CellFiles(loaded.task, loaded).nominal)
-    return LineStation(loaded, replace(scenario, cycle_s=loaded.cycle_s))
+    line = LineStation(loaded, replace(scenario, cycle_s=loaded.cycle_s))
+    return line if family in {None, loaded.config.controller.kind.value} else behind(line, family)
 
 
-def refuse_other_family(controller: str | None) -> None:
-    """Refuse a controller behind which no line is emulated.
-
-    Raises:
-        SetupError: it is not RSI.
-    """
-    if controller not in {None, ControllerKind.RSI.value}:
-        raise SetupError(f"--controller {controller}: {RSI_ALONE}")
+def behind(line: LineStation, family: str) -> LineStation:
+    """Return a station with another controller: its exchange, its period, its servos."""
+    cycle_s = 1e-3 * families.CYCLE_MS[family]
+    scenario = families.truth(family, replace(line.scenario, cycle_s=cycle_s))
+    on_rail = line.files.task.file.arm.linear_axis
+    own = families.daemon_sections(family, cycle_s, NOWHERE, on_rail=on_rail)
+    plain = cell_station.daemon_file(line.cell()) | line.daemon_sections()
+    plain = cell_station.with_links(plain, own, {"interface": "virtual"}, "virtual")
+    if scenario.robot.axes != line.scenario.robot.axes:
+        plain["overlays"] = [*plain.get("overlays", ()), str(identified_overlay.BEHIND[family])]
+    with tempfile.TemporaryDirectory(prefix="linemate-") as folder:
+        file = Path(folder) / STATION
+        file.write_text(yaml.safe_dump(plain, sort_keys=False), encoding="utf-8")
+        return LineStation(config.load(file), scenario)
 
 
 def plan(station: LineStation, cars: int, seed: int, takt_s: float) -> LinePlan:

@@ -30,7 +30,6 @@ from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness import cell_links, host
 from linemate.simulators.harness.cell import cell_truth
 from linemate.simulators.harness.line.line_station import LineStation
@@ -45,6 +44,7 @@ from linemate.simulators.harness.virtual.virtual_wires import (
     TRANSIT_NS,
     VirtualWires,
 )
+from linemate.simulators.lab.faults import dst_controllers
 from linemate.simulators.lab.faults.dst_oracles import weigh
 from linemate.simulators.lab.shift.line_controller import LineController
 
@@ -90,10 +90,12 @@ def _virtual(station: LineStation, records: Path) -> LoadedConfig:
     config = files.config
     assert config.distance is not None  # noqa: S101 - ``cell_links.of`` refuses it
     assert config.camera is not None  # noqa: S101 - ``cell_links.of`` refuses it
-    wrench = config.force_torque
+    wrench, (robot, robot_port) = config.force_torque, ROBOT
     linked = replace(
         config,
         rsi=replace(config.rsi, port=RSI_PORT, bind=LOOPBACK, peer=None),
+        egm=replace(config.egm, port=RSI_PORT, bind=LOOPBACK, peer=None),
+        fanuc=replace(config.fanuc, port=RSI_PORT, bind=LOOPBACK, peer=robot, peer_port=robot_port),
         distance=replace(config.distance, can={"interface": "virtual"}),
         camera=replace(config.camera, port=CAMERA_PORT, bind=LOOPBACK, peer=None),
         force_torque=None if wrench is None else replace(wrench, url="virtual"),
@@ -135,17 +137,21 @@ class ShiftRun:
         """
         ends = cell_links.of(station.files)
         files = self._station = _virtual(station, folder)
-        assert files.controller_file is not None  # noqa: S101 - ``line_station.station`` refuses others
         hubs, entry_s = station.hubs, station.entry_s
         line_plan = LinePlan(tuple(cars), hubs, takt_s, entry_s, FIRST_CAR_S, LAST_CAR_S)
         self._feeder = CarFeeder(station.scenario, line_plan)
         self.line = self._feeder.line
         self.plant = RobotPlant(self.line)
         limits = cell_truth.axis_limits(files.task.urdf, files.task.file)
-        rsi = ControllerConfig(files.cycle_s, timeout_rule="row", limits=limits)
-        self.controller = RsiController(
-            files.controller_file, self.plant.read, self.plant.start, rsi
+        self.controller = cell_links.controller(
+            files,
+            self.plant,
+            files.cycle_s,
+            limits,
+            on_rail=files.task.file.arm.linear_axis,
+            timeout_rule="row",
         )
+        self._sent: tuple[float, ...] = self.plant.start
         mount = files.task.file.conveyor.start_position
         self._emitters = Emitters(
             self.line, Faults(()), mount, _ns, ends.encoder, ends.device, ends.sender
@@ -241,8 +247,9 @@ class ShiftRun:
         if self._paused_until_s is None:
             applied = self.controller.end_of_cycle()
             self.plant.apply(applied)
+            self._sent = applied.motion or applied.setpoints
         else:
-            self.line.command(self.controller.setpoints)
+            self.line.command(self._sent)
             self.plant.cycle += 1
             self.line.advance(self.line.cycle_start(self.plant.cycle))
         self._cycle += 1
@@ -258,7 +265,7 @@ class ShiftRun:
         """Let the next car enter once it is due and the robot stands."""
         if time.monotonic() > self._last_entry_s:
             self._feeder.close()
-        event = self._feeder.next_event(self.controller.setpoints, self._cycle)
+        event = self._feeder.next_event(self._sent, self._cycle)
         if self._feeder.complaint is not None:
             self._complaints.append(self._feeder.complaint)
         if self._feeder.is_over:
@@ -297,21 +304,27 @@ class ShiftRun:
 
     def _exchange(self) -> None:
         """Send the telegram, and let the sensors see the cycle."""
-        if self._paused_until_s is None:
+        is_running = self._paused_until_s is None
+        dst_controllers.show(self.controller, is_running=is_running, has_drives=True)
+        if is_running:
             data = self.controller.telegram()
-            if data is not None:
-                self._wires.send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
+        else:
+            data = dst_controllers.paused_telegram(self.controller)
+        if data is not None:
+            self._wires.send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
         self.line.advance(self.line.cycle_start(self._cycle + 1) - AHEAD_S)
         for at_s, link, piece in self._emitters.collect():
             self._wires.send_sensor(_ns(at_s), link, piece)
 
     def _replied(self, data: bytes, _source: Address, target: Address) -> None:
-        if target == ROBOT and self._paused_until_s is None:
+        if target == ROBOT:
             at_ns = self._time.now_ns + TRANSIT_NS
             self._time.at(at_ns, partial(self._on_reply, data))
 
     def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
+        for answer in dst_controllers.answers(self.controller):
+            self._wires.send(self._time.now_ns + TRANSIT_NS, answer, ROBOT, RSI_PORT)
 
 
 def run(

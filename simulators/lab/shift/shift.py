@@ -44,6 +44,7 @@ class ShiftShare:
     Attributes:
         longest_s: time of the host after which no further car enters [s].
         cell: a shipped one or a folder that the worker can read; None: the shipped wheel.
+        controller: family; None: that of the cell.
         over_opc_ua: the line's controller is a client of the OPC UA server, and of nothing else.
     """
 
@@ -51,6 +52,7 @@ class ShiftShare:
     cars: tuple[Car, ...]
     longest_s: float = math.inf
     cell: str | None = None
+    controller: str | None = None
     over_opc_ua: bool = False
 
 
@@ -63,12 +65,13 @@ def main(args: Namespace) -> int:
     Returns:
         0 if every good car was mounted and every other one reported with its cause; else 1.
     """
-    line_station.refuse_other_family(args.controller)
-    station = line_station.station(args.cell)
+    station = line_station.station(args.cell, args.controller)
     cars = plan.draw(args.cars, args.seed, station, args.faulty)
     longest_s = math.inf if args.minutes is None else 60.0 * args.minutes
     shares = split(cars, args.workers or 1, args.takt, longest_s, args.cell)
-    shares = [replace(share, over_opc_ua=args.opc_ua) for share in shares]
+    shares = [
+        replace(share, controller=args.controller, over_opc_ua=args.opc_ua) for share in shares
+    ]
     outcomes = worker_pool.spread(perform, shares, len(shares), scheduler=args.scheduler)
     result = judge(outcomes, args.seed)
     print(report_json.text(result) if args.json else table(result))
@@ -92,7 +95,7 @@ def split(
 
 def perform(share: ShiftShare) -> ShiftOutcome:
     """Run a share in this process."""
-    station = line_station.station(share.cell)
+    station = line_station.station(share.cell, share.controller)
     with closing(_controller(share)) as plc:
         return run(
             station, share.cars, share.takt_s, on_car=_print_car, longest_s=share.longest_s, plc=plc
