@@ -12,7 +12,16 @@ from pathlib import Path
 
 import shtab
 
-from docs.make import manual, programs, python_reference, reference, results, sbom, states
+from docs.make import (
+    manual,
+    notebook,
+    programs,
+    python_reference,
+    reference,
+    results,
+    sbom,
+    states,
+)
 from linemate.daemon.config import config
 
 DOCS = Path(__file__).resolve().parents[1]
@@ -39,6 +48,8 @@ def pages() -> Iterator[tuple[Path, str]]:
         path = DOCS / name
         kept = path.read_text(encoding="utf-8").partition(reference.MADE)[0]
         yield path, kept + reference.MADE + "\n" + generated
+    for example in sorted(notebook.EXAMPLES.glob("*.py")):
+        yield example.with_suffix(".ipynb"), notebook.text(example)
     yield DOCS / "man/linemated.yaml.5", manual.configuration_page()
     for parser, number, what, more in programs.every():
         yield DOCS / f"man/{parser.prog}.{number}", manual.program_page(parser, number, what, more)
