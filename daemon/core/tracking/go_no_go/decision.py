@@ -21,6 +21,7 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 
 CLEAR_S = 0.2  # time without a reason after which a waiting tool goes on [s]
 BACK_S = 0.25  # a no-go on the way that lasts longer makes the tool back off to the far gate [s]
+DECIDED_S = 0.7  # the same for a change of class alone, which is decided within this time [s]
 RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
 LOOK_S = 0.6  # images of the object after a change of class, before the touch [s]
 STEADY_S = 0.25  # time since a change of class, before the touch [s]
@@ -197,7 +198,8 @@ def next_state(
     lasted_s = 0.0 if state.order is GoOrder.GO else state.lasted_s + dt
     order = GoOrder.STAND
     # A reason that has just ended is waited out: the way back and again takes seconds.
-    is_late = state.order is GoOrder.BACK or (bool(counted) and lasted_s >= BACK_S)
+    longest_s = DECIDED_S if counted == (Reason.CHANGE,) else BACK_S
+    is_late = state.order is GoOrder.BACK or (bool(counted) and lasted_s >= longest_s)
     is_late = is_late or not _BACK_AT_ONCE.isdisjoint(counted)
     if zone is not Zone.FAR and may_back and is_late:
         order = GoOrder.BACK

@@ -10,6 +10,7 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     BACK_S,
     CLEAR_S,
     COUNTED,
+    DECIDED_S,
     GO,
     LOOK_S,
     RELEASE_SHARE,
@@ -94,7 +95,9 @@ def test_the_whole_table_decides(
     zone: Zone, order: GoOrder, reasons: tuple[Reason, ...], may_back: bool
 ) -> None:
     state = (
-        GO if order is GoOrder.GO else GoState(order, (Reason.ANGLE,), "no", 0.0, 2 * BACK_S, 1.0)
+        GO
+        if order is GoOrder.GO
+        else GoState(order, (Reason.ANGLE,), "no", 0.0, 2 * DECIDED_S, 1.0)
     )
     new = next_state(state, reasons, zone, T0, stands=True, may_back=may_back)
     counts = bool(set(reasons) & COUNTED[zone])
@@ -149,6 +152,15 @@ def test_a_no_go_on_the_way_stands_first_and_then_backs_off() -> None:
     state = after(GO, (Reason.DISTANCE,), Zone.MIDDLE, BACK_S - 2 * T0)
     assert state.order is GoOrder.STAND
     assert after(state, (Reason.DISTANCE,), Zone.MIDDLE, 4 * T0).order is GoOrder.BACK
+
+
+def test_a_change_of_class_alone_is_waited_out_until_it_is_decided() -> None:
+    state = after(GO, (Reason.CHANGE,), Zone.LAST, DECIDED_S - 2 * T0)
+    assert state.order is GoOrder.STAND
+    assert after(state, (), Zone.LAST, CLEAR_S + 2 * T0).order is GoOrder.GO
+    assert after(state, (Reason.CHANGE,), Zone.LAST, 4 * T0).order is GoOrder.BACK
+    both = (Reason.DISTANCE, Reason.CHANGE)
+    assert after(GO, both, Zone.LAST, BACK_S + 2 * T0).order is GoOrder.BACK
 
 
 def test_a_tool_near_the_object_does_not_back_off() -> None:
