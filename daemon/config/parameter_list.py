@@ -52,6 +52,7 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.distance.gate": _LIVE,
     "tracking.camera": _LIVE,
     "tracking.camera.felt": _NOT_IN_CONTACT,
+    "tracking.camera.felt_turn": _NOT_IN_CONTACT,
     "tracking.fusion": _LIVE,
     "tracking.fusion.ripple_time": _IDLE,
     "tracking.fusion.initial_images": _IDLE,

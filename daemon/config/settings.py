@@ -360,7 +360,8 @@ class Config:
         state: directory for what operators save. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
             robot stands. None keeps the models.
-        learn_touches: correct ``tracking.camera.felt`` by where good assemblies felt the object.
+        learn_touches: correct ``tracking.camera.felt`` and ``felt_turn`` by where good assemblies
+            felt the object.
         production: parts one after the other, by their variants. None: each task is armed and
             started by hand.
         version: of the file's layout.

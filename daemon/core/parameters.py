@@ -93,9 +93,13 @@ def _axis_range(controller: control.Controller) -> tuple[float, float]:
 
 
 def _camera_in_tcp(task: TaskFile, tracking: TrackingSettings) -> tuple[Array, Array]:
-    """Return position (3,) and rotation (3, 3) of the camera in the tcp, as touches correct it."""
+    """Return position (3,) and rotation (3, 3) of the camera in the tcp, as touches correct it.
+
+    It is turned about the tcp: an object that the tool touches is only turned by that.
+    """
     mount, felt = task.arm.camera_in_tcp, np.array((*tracking.camera.felt, 0.0))
-    return np.array(mount.position) + felt, rotations.matrix(mount.quaternion)
+    turn = rotations.exp(np.array((*tracking.camera.felt_turn, 0.0)))
+    return turn @ np.array(mount.position) + felt, turn @ rotations.matrix(mount.quaternion)
 
 
 def build(

@@ -489,7 +489,7 @@ class App:
         learner.record_touch(entries)
         if learner.touch is None or not self.cycle.stands:
             return
-        values = learner.keep(self._parameters.settings.tracking.camera.felt)
+        values = learner.keep(self._parameters.settings.tracking.camera)
         answer = self._parameters.set(values, touches.WHO) if values else {}
         if isinstance(answer, dict) and "refused" in answer:
             self._events.add(f"what the touch has shown is not used: {answer['refused']}")

@@ -208,8 +208,9 @@ def test_parameters_are_got_and_set(daemon: Daemon, capsys: Out) -> None:
 def test_what_is_learned_is_shown_and_taken_back(
     daemon: Daemon, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name = "tracking.camera.felt"
-    daemon.values[name] = daemon.defaults[name] = [0.0, 0.0]
+    name, turn = "tracking.camera.felt", "tracking.camera.felt_turn"
+    for learned in (name, turn):
+        daemon.values[learned] = daemon.defaults[learned] = [0.0, 0.0]
     listed = daemon.described
 
     def described(prefix: str) -> list[dict[str, Any]]:
@@ -219,9 +220,10 @@ def test_what_is_learned_is_shown_and_taken_back(
     daemon.values["approach.speed"] = 0.15  # an operator's, which is not learned
     assert main(["learned", "show"]) == 0
     assert capsys.readouterr().out == "nothing is learned\n"
-    daemon.values[name] = [0.0004, 0.0]
+    daemon.values[name], daemon.values[turn] = [0.0004, 0.0], [0.0, 0.0006]
     assert main(["learned", "show"]) == 0
-    assert capsys.readouterr().out.splitlines()[1].startswith(name)
+    shown = [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert shown == [name, turn]
     assert main(["learned", "reset"]) == 0
     assert daemon.values == {**daemon.defaults, "approach.speed": 0.15}
     capsys.readouterr()

@@ -16,6 +16,7 @@ from annotated_types import Ge, Gt, Le, Len, Lt
 Length = Annotated[float, Ge(1e-5), Le(0.05)]
 Correction = Annotated[float, Ge(-0.003), Le(0.003)]
 Angle = Annotated[float, Ge(1e-5), Le(0.1)]
+Turn = Annotated[float, Ge(-0.01), Le(0.01)]
 Slope = Annotated[float, Ge(0.0), Le(0.1)]
 Walk = Annotated[float, Ge(1e-7), Le(0.01)]
 Sigmas = Annotated[float, Ge(1.0), Le(100.0)]
@@ -73,6 +74,8 @@ class CameraNoise:
             last waypoint before contact is moved out to 20 mm before it: there the tool waits.
         felt: along x and y of the tcp, where the object is felt beyond where the camera shows it
             [m]: an error of the hand-eye calibration that earlier touches have shown.
+        felt_turn: about x and y of the tcp, by how much it is felt turned from what the camera
+            shows [rad]: the same error's turn.
     """
 
     lateral: Length = 0.00025
@@ -87,6 +90,7 @@ class CameraNoise:
     bias: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
     blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.06
     felt: tuple[Correction, Correction] = (0.0, 0.0)
+    felt_turn: tuple[Turn, Turn] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)

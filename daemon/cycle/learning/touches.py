@@ -2,19 +2,28 @@
 
 A hand-eye calibration has an error that no sensor sees before the touch. A clamped tool measures
 the object, and the camera's place of it is known from just before. Their difference across the
-tool's axis is what the next assembly is corrected by (``tracking.camera.felt``).
+tool's axis, and about the axes across it, is what the next assembly is corrected by
+(``tracking.camera.felt``, ``tracking.camera.felt_turn``). The depth changes from car to car, and
+bolts are drawn into their angle: neither shows the camera's mount.
 
 Invariants:
 - A touch counts if its assembly was good: screws fixed, then the wheel released, no retreat.
 - A change is made while the robot stands. It goes through the parameter service like an operator's.
-- A touch farther off than ``LARGEST_M`` shows a fault, not a bias.
+- Corrections that were taken back are learned as quickly as at first.
+- A touch farther off than ``LARGEST_M`` or ``LARGEST_RAD`` shows a fault, not a bias.
 """
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers.bank_model import OFFSET, BankState
+from linemate.daemon.core.tracking.observation import History
+from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.tracker_state import TrackerState
 from linemate.daemon.cycle.states import MOVING
@@ -23,26 +32,42 @@ from linemate.daemon.cycle.step_log import LogEntry
 WHO = "touches"
 """Operator that the log names for a learned change."""
 
-FELT = "tracking.camera.felt"
-LARGEST_M = 0.002  # of a touch from where the object was expected [m]
+FELT, FELT_TURN = "tracking.camera.felt", "tracking.camera.felt_turn"
+LARGEST_M, LARGEST_RAD = 0.002, 0.006  # of a touch from where the object was expected
 KNOWN = 4  # touches that a value counts for which was learned before the start
 LEAST_GAIN = 0.1  # share of a touch that is taken: a mount may move
-REACH_M = 0.003  # largest correction [m], that of the setting
-WORTH_M = 1e-5  # a smaller change is not made: each is recorded [m]
+NOISE_SHARE = 0.5  # variance of a touch (0.35 mm) over that of a calibrated mount (0.5 mm)
+REACH_M, REACH_RAD = 0.003, 0.01  # largest corrections, those of the settings
+WORTH = 1e-5  # a smaller change is not made: each is recorded [m, rad]
+SEATED_S = 1.0  # after which the estimate has taken the turn of a clamped tool [s]
 
-Touch = tuple[float, float]
+Pair = tuple[float, float]
+
+
+class FeltError(NamedTuple):
+    """Where a good assembly felt the object beyond where it was estimated.
+
+    Attributes:
+        across: along x and y of the tcp [m].
+        turn: about x and y of the tcp [rad].
+    """
+
+    across: Pair
+    turn: Pair
 
 
 class TouchLearner:
     """Keeps the touch of an assembly until it is known to be good.
 
     Attributes:
-        touch: of the last good assembly, across the tool's axis [m]; None before the next one.
+        touch: of the last good assembly; None before the next one.
     """
 
     def __init__(self) -> None:
-        self.touch: Touch | None = None
-        self._felt: Touch | None = None
+        self.touch: FeltError | None = None
+        self._across: Pair | None = None
+        self._expected: TrackerState | None = None
+        self._felt: FeltError | None = None
         self._is_over = False
         self._count = 0
 
@@ -50,47 +75,65 @@ class TouchLearner:
         """Look at the steps of a motion."""
         for entry in entries:
             if entry.before is None or entry.after is None or entry.state not in MOVING:
-                self._felt, self._is_over = None, False
+                self._expected, self._felt, self._is_over = None, None, False
                 continue
-            before, after = entry.before.tracker, entry.after.tracker
-            if after.compliance.press is not None and before.compliance.press is None:
-                self._felt, self._is_over = felt_touch(before, after), False
+            self._measure(entry.before.tracker, entry.after.tracker)
+            after = entry.after.tracker
             if self._is_over or Gate.WHEEL_RELEASED not in after.passed:
                 continue
             self._is_over = True
             if Gate.SCREWS_FIXED in after.passed and after.withdrawn is None:
                 self.touch = self._felt
 
-    def keep(self, present: Touch) -> dict[str, list[float]]:
+    def _measure(self, before: TrackerState, after: TrackerState) -> None:
+        """Look at one step: the first force gives the place, a seated tool the turn."""
+        if after.compliance.press is not None and before.compliance.press is None:
+            self._across, self._felt, self._is_over = felt_across(before, after), None, False
+            self._expected = before
+        if self._expected is None or after.touching < SEATED_S:
+            return
+        turn = felt_turn(self._expected, after)
+        if self._across is not None and turn is not None:
+            self._felt = FeltError(self._across, turn)
+        self._expected = None
+
+    def keep(self, present: CameraNoise) -> dict[str, list[float]]:
         """Return the parameters that the last touch changes, by name.
 
         Args:
-            present: correction in force in that assembly [m].
+            present: with the corrections in force in that assembly.
         """
         touch, self.touch = self.touch, None
-        if touch is None or math.hypot(*touch) > LARGEST_M:
+        if touch is None or is_far(touch):
             return {}
-        if not self._count and any(present):
-            self._count = KNOWN
-        self._count += 1
-        gain = max(1.0 / (self._count + 1.0), LEAST_GAIN)
-        later = [
-            min(max(p + gain * t, -REACH_M), REACH_M) for p, t in zip(present, touch, strict=True)
-        ]
-        if math.dist(later, present) < WORTH_M:
-            return {}
-        return {FELT: [round(value, 6) for value in later]}
+        is_known = any((*present.felt, *present.felt_turn))
+        self._count = (self._count or KNOWN) + 1 if is_known else 1
+        gain = max(1.0 / (self._count + NOISE_SHARE), LEAST_GAIN)
+        changed = {}
+        for name, known, off, reach in (
+            (FELT, present.felt, touch.across, REACH_M),
+            (FELT_TURN, present.felt_turn, touch.turn, REACH_RAD),
+        ):
+            later = [min(max(p + gain * t, -reach), reach) for p, t in zip(known, off, strict=True)]
+            if math.dist(later, known) >= WORTH:
+                changed[name] = [round(value, 6) for value in later]
+        return changed
 
 
-def felt_touch(before: TrackerState, after: TrackerState) -> Touch | None:
+def is_far(touch: FeltError) -> bool:
+    """Return whether a touch is farther off than a calibrated camera can be."""
+    return math.hypot(*touch.across) > LARGEST_M or math.hypot(*touch.turn) > LARGEST_RAD
+
+
+def felt_across(before: TrackerState, after: TrackerState) -> Pair | None:
     """Return how far the object is felt from where it was estimated, across the tool's axis [m].
 
     Args:
         before: state of the last step without a force that measures the object.
         after: of the first one with it: its estimate has taken a part of the way already.
     """
-    history, earlier, later = after.history, before.transverse, after.transverse
-    if history is None or earlier is None or later is None:
+    earlier, later = before.transverse, after.transverse
+    if after.history is None or earlier is None or later is None:
         return None
     x, y, z = after.compliance.offset
     x += float(later.x[0] - earlier.x[0])
@@ -98,6 +141,23 @@ def felt_touch(before: TrackerState, after: TrackerState) -> Touch | None:
     if isinstance(before.conveyor, BankState) and isinstance(after.conveyor, BankState):
         # The offset of the distance sensor falls by what the object has moved on its conveyor.
         y -= float(after.conveyor.x[OFFSET] - before.conveyor.x[OFFSET])
-    R = rotations.exp(history.poses[-1][3:])
-    across = R.T.dot((x, y, z))
-    return float(across[0]), float(across[1])
+    return _across_tool(after.history, np.array((x, y, z)))
+
+
+def felt_turn(expected: TrackerState, seated: TrackerState) -> Pair | None:
+    """Return by how much the object is turned from its estimate, about x and y of the tcp [rad].
+
+    Args:
+        expected: state of the last step before the touch.
+        seated: of a clamped tool, whose estimate the turn of the mount has corrected.
+    """
+    if expected.transverse is None or seated.transverse is None or seated.history is None:
+        return None
+    turned = rotations.log(seated.transverse.rotation @ expected.transverse.rotation.T)
+    return _across_tool(seated.history, turned)
+
+
+def _across_tool(history: History, vector: Array) -> Pair:
+    """Return x and y in the tcp of a vector (3,) in c."""
+    x, y, _ = rotations.exp(history.poses[-1][3:]).T.dot(vector).tolist()
+    return x, y

@@ -8,7 +8,7 @@ Invariants:
 
 from dataclasses import replace
 
-from linemate.daemon.cycle.learning.touches import FELT, TouchLearner
+from linemate.daemon.cycle.learning.touches import FELT, FELT_TURN, TouchLearner
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.setup import Setup
 
@@ -32,7 +32,9 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
             on_step=lambda entry: learner.record_touch((entry,)),
         )
         camera = setup.tracking.camera
-        x, y = learner.keep(camera.felt).get(FELT, camera.felt)
-        camera = replace(camera, felt=(x, y))
+        values = learner.keep(camera)
+        x, y = values.get(FELT, camera.felt)
+        a, b = values.get(FELT_TURN, camera.felt_turn)
+        camera = replace(camera, felt=(x, y), felt_turn=(a, b))
         setup = replace(setup, tracking=replace(setup.tracking, camera=camera))
     return setup
