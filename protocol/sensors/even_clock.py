@@ -3,9 +3,13 @@
 An adapter on a serial line gives no stamps. Readings that a busy host reads 12 ms late in one
 portion seem to have come at once, which looks like a stop of the conveyor.
 
+A reading that comes alone after a gap, between two periods, is late. By how much is unknown: those
+before it are lost, or late as well. Dated 12 ms too late it looks like a stop of the conveyor.
+
 Invariants:
     A reading comes one period after the one before. A reading can be late, never early.
     Where the gaps are not even, the stamps are not changed.
+    A reading of unknown date is left out, until the next ones show it or for ``UNDATED_S`` at most.
 """
 
 from collections import deque
@@ -21,6 +25,7 @@ MOST, ENOUGH = 2 / 3, 0.4  # share of even gaps to begin dating, and to continue
 LATE = 0.125  # lateness up to this share of a period is the line's own and not corrected
 LEAK = 1 / 64  # share of a lasting lateness accepted with each reading: the phase may move
 SHORTER = 0.98  # least time between two readings, share of a period
+UNDATED_S = 0.1  # for which readings of unknown date are left out [s]
 
 
 class EvenClock:
@@ -28,9 +33,19 @@ class EvenClock:
 
     Attributes:
         redated: readings whose stamp was changed.
+        undated: readings that were left out.
     """
 
-    __slots__ = ("_arrivals", "_fresh", "_last_ns", "_period_ns", "redated")
+    __slots__ = (
+        "_arrivals",
+        "_fresh",
+        "_last_ns",
+        "_period_ns",
+        "_unsure",
+        "_unsure_ns",
+        "redated",
+        "undated",
+    )
 
     def __init__(self) -> None:
         """Begin without a period."""
@@ -38,7 +53,9 @@ class EvenClock:
         self._fresh = 0
         self._last_ns: int | None = None
         self._period_ns = 0.0
-        self.redated = 0
+        self._unsure = 0  # readings in a row of unknown date
+        self._unsure_ns = 0  # the newest of them
+        self.redated = self.undated = 0
 
     def date(self, samples: Sequence[DistanceSample]) -> Sequence[DistanceSample]:
         """Return all readings since the last call, oldest first, with their corrected stamps."""
@@ -53,13 +70,43 @@ class EvenClock:
         for sample in samples:
             behind -= 1
             latest_ns = samples[-1].stamp_ns - round(behind * SHORTER * self._period_ns)
-            stamp_ns = self._arrival(min(sample.stamp_ns, latest_ns))
+            read_ns = min(sample.stamp_ns, latest_ns)
+            if self._is_unsure(read_ns, sample.stamp_ns):
+                self.undated += 1
+                continue
+            stamp_ns = self._arrival(read_ns)
             self._last_ns = stamp_ns
             if stamp_ns != sample.stamp_ns:
                 self.redated += 1
                 sample = DistanceSample(stamp_ns, sample.position, sample.strength)  # noqa: PLW2901
             dated.append(sample)
         return dated
+
+    def _is_unsure(self, read_ns: int, came_ns: int) -> bool:
+        """Return whether it is unknown how late a reading is.
+
+        It is known if none before it is missing, or it is even with the last one of known date, or
+        with the one before it.
+
+        Args:
+            read_ns: when it was read [ns].
+            came_ns: the same, in a portion as of its last reading [ns].
+        """
+        last_ns, period_ns = self._last_ns, self._period_ns
+        if last_ns is None:
+            return False
+        gap = (read_ns - last_ns) / period_ns
+        is_missing = round(gap) > 1 + self._unsure
+        off = (
+            gap - round(gap) if not self._unsure else (came_ns - self._unsure_ns) / period_ns - 1.0
+        )
+        if is_missing and abs(off) > LATE and gap * period_ns < UNDATED_S * 1e9:
+            self._unsure, self._unsure_ns = self._unsure + 1, came_ns
+            return True
+        if is_missing and self._unsure:
+            self._last_ns = None
+        self._unsure = 0
+        return False
 
     def _arrival(self, read_ns: int) -> int:
         """Return the arrival of a reading that was read at ``read_ns`` [ns]."""

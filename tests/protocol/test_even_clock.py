@@ -88,16 +88,53 @@ def test_the_period_of_a_slower_sensor_is_learned_again() -> None:
 def test_dates_grow_and_are_never_later_than_the_reading() -> None:
     source = random.Random(2)
     clock, last = taught(), BEGIN_NS
-    k = 0
+    k = dated = 0
     for _ in range(300):
         count = source.randint(0, 5)
         read = BEGIN_NS + (k + count) * PERIOD_NS + source.randint(0, 2 * PERIOD_NS)
         k += count
-        portion = readings(*[read + i for i in range(count)])
-        for sample, was in zip(clock.date(portion), portion, strict=True):
+        portion = [DistanceSample(read + i, float(i)) for i in range(count)]
+        for sample in clock.date(portion):
+            was = portion[int(sample.position)]
             assert sample.stamp_ns > last or sample.stamp_ns <= was.stamp_ns
             assert sample.stamp_ns <= max(was.stamp_ns, last + 1)
             last = sample.stamp_ns
+            dated += 1
+    assert dated > 500
+
+
+def test_a_reading_late_by_more_than_a_period_is_left_out_until_its_date_is_known() -> None:
+    # Dated by its arrival it would show the conveyor 1.3 mm short, and so would those after it.
+    clock = taught(period_ns=12_000_000)
+    came_ms = (12.0, 24.0, 50.6, 100.5, 100.5, 100.5, 100.5, 109.3, 124.7, 124.7, 132.9, 145.0)
+    errors, waiting = {}, []
+    for k, (at, after) in enumerate(zip(came_ms, (*came_ms[1:], 999.0), strict=True), 1):
+        waiting.append(DistanceSample(BEGIN_NS + round(1e6 * at), float(k)))
+        if after > at:
+            for sample in clock.date(waiting):
+                when = BEGIN_NS + 12_000_000 * sample.position
+                errors[int(sample.position)] = 1e-6 * (sample.stamp_ns - when)
+            waiting.clear()
+    assert set(errors) == {1, 2, 9, 10, 11, 12}
+    assert clock.undated == 6
+    assert all(abs(error) < 2.0 for error in errors.values())
+
+
+def test_the_reading_after_lost_ones_is_dated() -> None:
+    source = random.Random(4)
+    clock = taught()
+    for k in range(1, 500):
+        if source.random() < 0.6:
+            continue
+        (sample,) = readings(BEGIN_NS + k * PERIOD_NS + source.randint(0, 400_000))
+        assert clock.date([sample]) != []
+
+
+def test_readings_of_unknown_date_are_taken_again_after_a_while() -> None:
+    clock = taught(period_ns=12_000_000)
+    apart_ns = 28_800_000  # as if one and a half readings were missing each time
+    taken = [bool(clock.date(readings(BEGIN_NS + k * apart_ns))) for k in range(1, 9)]
+    assert taken == [False, False, False, True, False, False, False, True]
 
 
 def test_a_conveyor_that_runs_evenly_stays_even_on_a_host_that_reads_in_portions() -> None:

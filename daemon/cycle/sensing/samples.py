@@ -232,7 +232,7 @@ class SensorQueues:
             },
             "redated": {"distance": self._distance_clock.redated},
             "dropped": {
-                "distance": self.distance.dropped,
+                "distance": self.distance.dropped + self._distance_clock.undated,
                 "camera": self.camera.dropped,
                 "wrench": self.wrench.dropped,
             },
