@@ -78,6 +78,29 @@ def test_a_stop_after_a_silence_is_found_by_the_speed_that_was_known() -> None:
     assert np.mean(all_odds(-0.1, 0.0)) < np.mean(all_odds(-0.1, 0.106)) - 3.0
 
 
+def late_until(age: float, acceleration: float, seed: int) -> Array:
+    """Readings of a running conveyor, late by 20 ms up to an age; the next one comes too early."""
+    kept = readings(acceleration, 0.2, seed, 0.106)
+    kept[1, kept[0] > age] -= 0.106 * 0.02
+    last = int(np.count_nonzero(kept[0] > age)) - 1
+    kept[0, last] -= 0.7 * T0
+    return kept
+
+
+def test_a_sensor_that_is_late_no_more_denies_no_stop() -> None:
+    denied = [odds(late_until(0.1, -0.1, seed), 0.2, -0.1, 0.003, 0.106) for seed in range(40)]
+    assert min(denied) > -3.0
+    runs = [odds(late_until(0.1, 0.0, seed), 0.2, -0.1, 0.003, 0.106) for seed in range(40)]
+    assert np.mean(runs) < np.mean(denied) - 1.0
+
+
+def test_a_sensor_that_is_uneven_all_the_time_keeps_its_say() -> None:
+    kept = readings(0.0, 0.2, 3, 0.106)
+    kept[0, 1::4] += 0.7 * T0
+    kept[1, 1::4] -= 0.106 * 0.7 * T0
+    assert odds(kept, 0.2, -0.1, 0.003, 0.106) < -5.0
+
+
 def test_an_outlier_of_100_mm_does_not_speak() -> None:
     kept = readings(0.0, 0.4, 7)
     clean = odds(kept, 0.4, START)

@@ -4,6 +4,9 @@ Camera and force-torque sensor see the body, which also swings and is pushed. Th
 sees the conveyor alone. The null filter cannot say what the distance sensor finds: it has followed
 the body by then, and every hypothesis agrees with where the object is. So the last readings are
 fitted by themselves: a steady motion or a ramp, and the change as its hypotheses say.
+
+A sensor whose readings are late no more shows it: one of them comes too early after the one before.
+All readings before it are then too short by an unknown way, which is fitted as well.
 """
 
 from collections.abc import Sequence
@@ -19,6 +22,11 @@ LATEST_S = 0.15  # age of the newest reading with which the sensor still has a s
 LEAST_READINGS = 8
 LEVEL_DEVIATION = 1.0  # of the position of the steady motion [m]: unknown
 OUTLIER_SIGMAS, MOST_OUTLIERS = 5.0, 3  # residual of an outlier; how many are left out
+EARLY = 0.6  # share of the usual time between readings, below which the sensor was late before
+MOST_EARLY = (
+    3  # so many times in ``SPAN_S``; a sensor that is uneven more often shows nothing by it
+)
+LATE_DEVIATION = 0.005  # way by which late readings are too short [m]
 LEAST_WAY = 1e-5  # way of the change since its onset below which nothing can be decided [m]
 
 RAMP_DEVIATION = 0.15  # of a ramp's acceleration, as a share
@@ -98,6 +106,10 @@ def log_odds(
         rows.append(ramped)
         information.append(RAMP_DEVIATION**-2)
         speed_deviation = RAMP_SPEED_DEVIATION
+    late = _late(ages)
+    if late is not None:
+        rows.append(late)
+        information.append(LATE_DEVIATION**-2)
     known = (LEVEL_DEVIATION**-2, speed_deviation**-2, *information)
     fit, covariance = _fit(np.array(rows), way, _diagonal(known, deviation), deviation)
     return (float(fit[2]) - 0.5) / (deviation**2 * float(covariance[2, 2]))
@@ -120,6 +132,16 @@ def _has_say(readings: Array) -> bool:
     """Return whether there are enough readings, the newest of them young enough."""
     ages = readings[0]
     return len(ages) >= LEAST_READINGS and bool(ages[-1] <= LATEST_S)
+
+
+def _late(ages: Array) -> Array | None:
+    """Return which of the readings (m,) were late before the sensor was in time again, or None."""
+    gaps = ages[:-1] - ages[1:]
+    early = np.flatnonzero(gaps < EARLY * np.median(gaps))
+    if not 0 < len(early) <= MOST_EARLY:
+        return None
+    late: Array = (np.arange(len(ages)) <= early[-1]).astype(float)
+    return late
 
 
 def _ramp_way(ages: Array, ramp: Ramp) -> Array:
