@@ -125,6 +125,9 @@ def advance_clock(
     tool, passed = tracker.task.tool, open_gates(tracker, state, view, samples)
     if retreat and state.releasing is None and not state.contact:
         state = _set_back(tracker, state)
+    if state.releasing is None:
+        # A merge amplifies a change of what is committed: the press goes as it was ordered to.
+        state = _unloaded_in(state, release.RETREAT_S if retreat else release.UNLOADING_S)
     stood = max(state.stood - release.STANDING_S, 0.0)
     moved = 0.0 if view is None else abs(view.speed) * stood
     clamped = retreat and state.withdrawn is None
@@ -170,6 +173,11 @@ def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float |
     if release.is_calm(state.compliance.power, state.pull):
         return None
     return waited + tracker.cycle_s if state.time >= at - 1.5 * tracker.cycle_s else waited
+
+
+def _unloaded_in(state: TrackerState, unloading_s: float) -> TrackerState:
+    """Return the state whose press goes in a given time once the clamp is ordered to open."""
+    return state if state.unloading_s == unloading_s else replace(state, unloading_s=unloading_s)
 
 
 def _set_back(tracker: Tracker, state: TrackerState) -> TrackerState:

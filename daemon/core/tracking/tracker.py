@@ -206,11 +206,11 @@ def _programmed_poses(
         return tracker.table.between(times)
     goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     if state.contact and not is_before_contact(state):
-        return goal, _pressing_poses(tracker, state, relative, retreat)
+        return goal, _pressing_poses(tracker, state, relative)
     return goal, _waiting_poses(state, relative) if retreat else relative
 
 
-def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array, retreat: bool) -> Array:
+def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool in contact."""
     before = math.ceil((tracker.search_time - state.time) / tracker.cycle_s - 1e-6)
     commanded = tracker.merge_clamped.committed_s
@@ -218,8 +218,8 @@ def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array, retr
     relative = guard.pressing(relative, tracker.press, before, times, state.touched)
     if state.releasing is None:
         return relative
-    lasting = release.RETREAT_S if retreat else release.UNLOADING_S
-    return release.unloading(relative, state.releasing + tracker.span, commanded, lasting)
+    since = state.releasing + tracker.span
+    return release.unloading(relative, since, commanded, state.unloading_s)
 
 
 def _waiting_poses(state: TrackerState, relative: Array) -> Array:

@@ -28,7 +28,7 @@ from linemate.daemon.core.tracking.observation import (
 from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile
-from linemate.daemon.core.tracking.touch import contact, force_jump, guard
+from linemate.daemon.core.tracking.touch import contact, force_jump, guard, release
 from linemate.daemon.core.tracking.touch.bolt_search import NO_BOLT_SEARCH, BoltSearch
 from linemate.daemon.core.tracking.touch.compliance import (
     NO_COMPLIANCE,
@@ -138,6 +138,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         touched: where the programme was as the contact began.
         fixing: time since the tool was ordered to fix [s]; None before.
         releasing: time since the tool was ordered to release [s]; None before.
+        unloading_s: in which the press goes since then, as it was ordered [s].
         withdrawn: time since an emergency retraction began [s]; None without.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
         anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
@@ -198,6 +199,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     touched: guard.TouchedProgramme = guard.UNTOUCHED
     fixing: float | None = None
     releasing: float | None = None
+    unloading_s: float = release.UNLOADING_S
     withdrawn: float | None = None
     clamped: bool = False
     anchor: Array | None = None

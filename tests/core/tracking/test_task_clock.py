@@ -79,6 +79,15 @@ def test_a_retreat_does_not_wait_for_a_calm_contact() -> None:
     assert later(state, 0.024, SWINGS, retreat=True).releasing is not None
 
 
+def test_a_retreat_after_the_release_does_not_change_how_the_press_goes() -> None:
+    # A merge amplifies a change of what is committed: the tool went 1.8 mm deeper.
+    released = later(on_the_object(0.02), 0.048, CALM)
+    assert released.releasing is not None
+    assert later(released, 0.024, CALM, retreat=True).unloading_s == release.UNLOADING_S
+    retreats = later(on_the_object(0.3), 0.024, CALM, retreat=True)
+    assert retreats.unloading_s == release.RETREAT_S
+
+
 SIGHT = frozenset({Gate.OBJECT_CLOSE, Gate.OBJECT_SEEN})
 
 
