@@ -290,10 +290,12 @@ class Session:
     def _prove_position(self, axes: Axes, peer: Hashable) -> tuple[Axes, Axes] | None:
         """Return the reported position as the setpoint in force, None while the robot moves.
 
-        A robot that was moved may coast to a stop. Its position then is not its setpoint.
+        A robot that was moved may coast to a stop. Its position then is not its setpoint. Without a
+        program, telegrams that came at once may be those of a robot that another daemon has led.
         """
         program = self._program
-        if program is not None and _was_led(program, axes) and not self._has_rested(axes):
+        was_led = self._silence_s is None if program is None else _was_led(program, axes)
+        if was_led and not self._has_rested(axes):
             why = "the setpoint in force is unknown: the robot still moves. Wait."
             self.decline(why, axes, peer)
             self.proof = Proof.PENDING

@@ -134,7 +134,23 @@ def test_increments_need_no_reference() -> None:
 
 def test_the_first_position_is_the_reported_one() -> None:
     session = Session(CYCLE_S, POSITIONS)
+    session.listen(0)
     assert proven(session, telegram(1, 12.0, None, THERE)) == (THERE, THERE)
+    assert session.proof is Proof.REPORTED
+
+
+def test_a_daemon_that_hears_telegrams_at_once_waits_until_the_robot_rests() -> None:
+    session = Session(CYCLE_S, POSITIONS)
+    session.listen(12_000_000_000)
+    waits = 0
+    for k in range(40):
+        moving = (0.001 * min(k, 20), *THERE[1:])
+        robot = telegram(1 + k, 12.01 + 0.012 * k, None, moving)
+        session.note_telegram(robot.stamp_ns)
+        if session.prove(robot, moving, None, "robot") is not None:
+            break
+        waits = k
+    assert waits == 20 + 9 - 1
     assert session.proof is Proof.REPORTED
 
 
@@ -166,6 +182,7 @@ def test_a_robot_that_its_own_program_led_elsewhere_gets_no_position_before_it_r
     away: float, waits: bool
 ) -> None:
     session = Session(CYCLE_S, POSITIONS)
+    session.listen(0)
     assert proven(session, telegram(1, 12.0, None, THERE)) == (THERE, THERE)
     session.open(THERE, THERE, None)
     session.note_reply(THERE, telegram(1, 12.0, None, THERE), "robot", STEP)
