@@ -29,6 +29,8 @@ RESTART_PROGRAM = "Restart the controller's program: it must start while the dae
 _OFFSETS = ExchangeRules()
 REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
 STILL = 2e-4  # ... so near to each other [rad, m]
+# A reply that left so short before the next telegram came was superseded on its way [cycles].
+SUPERSEDED = 1 / 16
 
 
 class Session:
@@ -411,7 +413,8 @@ class Session:
         bad = 0 if delay is None or before is None else delay - before
         self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
         # The controller has this cycle's reply when it looks again, and the late one never acted.
-        self.was_lost |= self.may_be_late and answered_ns + self.turnaround_ns > stamp_ns
+        replied_ns = answered_ns + self.turnaround_ns + round(SUPERSEDED * 1e9 * self._cycle_s)
+        self.was_lost |= self._rules.newest_acts and replied_ns > stamp_ns
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1

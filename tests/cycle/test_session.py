@@ -154,6 +154,17 @@ def test_a_daemon_that_hears_telegrams_at_once_waits_until_the_robot_rests() -> 
     assert session.proof is Proof.REPORTED
 
 
+@pytest.mark.parametrize(("apart_ms", "is_lost"), [(0.1, True), (1.0, False), (12.0, False)])
+def test_a_reply_just_before_the_next_telegram_never_acts_where_the_newest_does(
+    apart_ms: float, is_lost: bool
+) -> None:
+    session = Session(CYCLE_S, ExchangeRules(SetpointKind.POSITIONS, newest_acts=True))
+    session.open(THERE, THERE, None)
+    session.note_reply(SENT, telegram(1, 12.0, None, THERE), "robot", STEP)
+    assert session.settle(None, 1, 12_000_000_000 + round(1e6 * apart_ms)) is is_lost
+    assert session.held == (THERE if is_lost else SENT)
+
+
 def test_positions_need_a_proof_after_a_silence_that_the_rules_do_not_account_for() -> None:
     session = running(POSITIONS)
     assert not session.needs_proof(telegram(1308, 12.108, None, SENT), 8)
