@@ -23,9 +23,7 @@ LEAST_READINGS = 8
 LEVEL_DEVIATION = 1.0  # of the position of the steady motion [m]: unknown
 OUTLIER_SIGMAS, MOST_OUTLIERS = 5.0, 3  # residual of an outlier; how many are left out
 EARLY = 0.6  # share of the usual time between readings, below which the sensor was late before
-MOST_EARLY = (
-    3  # so many times in ``SPAN_S``; a sensor that is uneven more often shows nothing by it
-)
+MOST_EARLY = 3  # so many times in ``SPAN_S``: a sensor that is uneven more often shows nothing
 LATE_DEVIATION = 0.005  # way by which late readings are too short [m]
 LEAST_WAY = 1e-5  # way of the change since its onset below which nothing can be decided [m]
 
@@ -140,8 +138,7 @@ def _late(ages: Array) -> Array | None:
     early = np.flatnonzero(gaps < EARLY * np.median(gaps))
     if not 0 < len(early) <= MOST_EARLY:
         return None
-    late: Array = (np.arange(len(ages)) <= early[-1]).astype(float)
-    return late
+    return np.asarray(np.arange(len(ages)) <= early[-1], dtype=float)
 
 
 def _ramp_way(ages: Array, ramp: Ramp) -> Array:
