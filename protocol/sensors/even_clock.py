@@ -71,8 +71,7 @@ class EvenClock:
             behind -= 1
             latest_ns = samples[-1].stamp_ns - round(behind * SHORTER * self._period_ns)
             read_ns = min(sample.stamp_ns, latest_ns)
-            if self._is_unsure(read_ns, sample.stamp_ns):
-                self.undated += 1
+            if self._leave_out(read_ns, sample.stamp_ns):
                 continue
             stamp_ns = self._arrival(read_ns)
             self._last_ns = stamp_ns
@@ -82,31 +81,38 @@ class EvenClock:
             dated.append(sample)
         return dated
 
-    def _is_unsure(self, read_ns: int, came_ns: int) -> bool:
-        """Return whether it is unknown how late a reading is.
-
-        It is known if none before it is missing, or it is even with the last one of known date, or
-        with the one before it.
+    def _leave_out(self, read_ns: int, came_ns: int) -> bool:
+        """Leave a reading out whose date is unknown; return whether it is.
 
         Args:
             read_ns: when it was read [ns].
             came_ns: the same, in a portion as of its last reading [ns].
         """
-        last_ns, period_ns = self._last_ns, self._period_ns
-        if last_ns is None:
+        if self._last_ns is None:
             return False
-        gap = (read_ns - last_ns) / period_ns
+        gap = (read_ns - self._last_ns) / self._period_ns
         is_missing = round(gap) > 1 + self._unsure
-        off = (
-            gap - round(gap) if not self._unsure else (came_ns - self._unsure_ns) / period_ns - 1.0
-        )
-        if is_missing and abs(off) > LATE and gap * period_ns < UNDATED_S * 1e9:
+        is_recent = gap * self._period_ns < UNDATED_S * 1e9
+        if is_missing and is_recent and not self._is_even(gap, came_ns):
             self._unsure, self._unsure_ns = self._unsure + 1, came_ns
+            self.undated += 1
             return True
         if is_missing and self._unsure:
             self._last_ns = None
         self._unsure = 0
         return False
+
+    def _is_even(self, gap: float, came_ns: int) -> bool:
+        """Return whether a reading is even with the last one of known date, or with one left out.
+
+        Args:
+            gap: since the last one of known date, in periods.
+            came_ns: when its portion's last reading was read [ns].
+        """
+        off = gap - round(gap)
+        if self._unsure:
+            off = (came_ns - self._unsure_ns) / self._period_ns - 1.0
+        return abs(off) <= LATE
 
     def _arrival(self, read_ns: int) -> int:
         """Return the arrival of a reading that was read at ``read_ns`` [ns]."""

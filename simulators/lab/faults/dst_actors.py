@@ -10,9 +10,10 @@ from msgspec.structs import replace
 
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
+from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.lab.faults import dst_controllers
-from linemate.simulators.lab.faults.dst_controllers import Controller, StrictFamily
+from linemate.simulators.devices.robot_program import Controller
+from linemate.simulators.lab.faults.dst_controllers import StrictFamily
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
@@ -101,7 +102,7 @@ class Programme:
         if self._paused_until_s is None:
             # Drives that are off stay where they are, whatever the controller was sent in between.
             is_braked = self._braked_until_s is not None
-            where = self._pose if is_braked else dst_controllers.standing(self._controller)
+            where = self._pose if is_braked else robot_program.standing(self._controller)
             self._from = self._pose = where
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
 
@@ -109,7 +110,7 @@ class Programme:
         """Drives off: the axes stand where they were sent last, whatever comes."""
         if self._paused_until_s is None:
             self._braked_until_s = max(now_s + duration_s, self._braked_until_s or now_s)
-            self._pose = dst_controllers.standing(self._controller)
+            self._pose = robot_program.standing(self._controller)
 
     def home(self, now_s: float) -> None:
         """Drive to the rest pose without RSI; the program starts again there.
@@ -120,7 +121,7 @@ class Programme:
         if world.contact == "clamped":
             world.digital_out(RELEASE_WHEEL)
             opening_s = OPENING_S
-        self._from, self._pose = dst_controllers.standing(self._controller), self._plant.start
+        self._from, self._pose = robot_program.standing(self._controller), self._plant.start
         way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
         self._took_s = max(HOMING_S, way / HOMING_SPEED)
         self._paused_until_s = now_s + opening_s + self._took_s
@@ -155,13 +156,13 @@ class Programme:
             self._paused_until_s = None
             self._controller.restart(setpoints=self._pose)
         self.leads = self._paused_until_s is None
-        dst_controllers.show(
+        robot_program.show(
             self._controller, is_running=self.leads, has_drives=self._braked_until_s is None
         )
         if self.leads:
             data = self._controller.telegram()
         else:
-            data = dst_controllers.paused_telegram(self._controller)
+            data = robot_program.paused_telegram(self._controller)
         self.is_sent = data is not None
         return data
 

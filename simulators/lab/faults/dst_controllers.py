@@ -13,6 +13,7 @@ from linemate.daemon.config.settings import ControllerKind
 from linemate.protocol.fanuc.packets import PacketKind, write_short
 from linemate.simulators.devices.egm.egm_controller import EgmConfig, EgmController
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, FanucController
+from linemate.simulators.devices.robot_program import Controller
 from linemate.simulators.devices.rsi_controller import (
     Applied,
     ControllerConfig,
@@ -22,8 +23,6 @@ from linemate.simulators.devices.rsi_controller import (
 from linemate.simulators.lab.faults.dst_cells import axis_limits, rest_pose, station
 from linemate.simulators.lab.faults.dst_plan import FaultPlan, end_of
 from linemate.simulators.plants.scenario import Vector7
-
-Controller = RsiController | FanucController | EgmController
 
 UNCERTAIN = {
     "robot": frozenset({"deafness", "delay", "jitter", "reorder", "flip"}),
@@ -88,36 +87,6 @@ def _fanuc(
         limits=axis_limits(plan.cell),
     )
     return FanucController(read, pose, own)
-
-
-# What the cell does to its controller.
-
-
-def standing(controller: Controller) -> Vector7:
-    """Return where the robot is sent, A1..A6 [rad], E1 [m]."""
-    return controller.standing if isinstance(controller, EgmController) else controller.setpoints
-
-
-def show(controller: Controller, *, is_running: bool, has_drives: bool) -> None:
-    """Let a controller's telegrams say whether its program runs and its drives are on.
-
-    RSI's say neither. EGM sends none while RAPID is between two runs.
-    """
-    if isinstance(controller, FanucController):
-        controller.is_program_running = is_running
-        controller.is_emergency_stop = not has_drives
-    elif isinstance(controller, EgmController):
-        controller.is_motors_on = has_drives
-
-
-def paused_telegram(controller: Controller) -> bytes | None:
-    """Return a controller's telegram while its program does not run, None if it sends none."""
-    return controller.telegram() if isinstance(controller, FanucController) else None
-
-
-def answers(controller: Controller) -> list[bytes]:
-    """Return the answers to requests of the daemon, oldest first."""
-    return controller.take_answers() if isinstance(controller, FanucController) else []
 
 
 class StrictFamily:

@@ -23,6 +23,7 @@ from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.udp.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
+from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.robot_plant import RobotPlant
@@ -477,7 +478,7 @@ class Simulation:
     def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
         self.strict.judge_reply(_seconds(self._time.now_ns))
-        for answer in dst_controllers.answers(self.controller):
+        for answer in robot_program.answers(self.controller):
             self._wires.send(
                 self._time.now_ns + TRANSIT_NS, answer, self._strangers.source, RSI_PORT
             )

@@ -26,6 +26,7 @@ from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.udp.datagrams import Address
+from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
@@ -44,7 +45,6 @@ from linemate.simulators.harness.virtual.virtual_wires import (
     TRANSIT_NS,
     VirtualWires,
 )
-from linemate.simulators.lab.faults import dst_controllers
 from linemate.simulators.lab.faults.dst_oracles import weigh
 from linemate.simulators.lab.shift.line_controller import LineController
 
@@ -305,11 +305,11 @@ class ShiftRun:
     def _exchange(self) -> None:
         """Send the telegram, and let the sensors see the cycle."""
         is_running = self._paused_until_s is None
-        dst_controllers.show(self.controller, is_running=is_running, has_drives=True)
+        robot_program.show(self.controller, is_running=is_running, has_drives=True)
         if is_running:
             data = self.controller.telegram()
         else:
-            data = dst_controllers.paused_telegram(self.controller)
+            data = robot_program.paused_telegram(self.controller)
         if data is not None:
             self._wires.send(_ns(self.now_s) + TRANSIT_NS, data, ROBOT, RSI_PORT)
         self.line.advance(self.line.cycle_start(self._cycle + 1) - AHEAD_S)
@@ -323,7 +323,7 @@ class ShiftRun:
 
     def _on_reply(self, data: bytes) -> None:
         self.controller.on_reply(data, self._time.now_ns)
-        for answer in dst_controllers.answers(self.controller):
+        for answer in robot_program.answers(self.controller):
             self._wires.send(self._time.now_ns + TRANSIT_NS, answer, ROBOT, RSI_PORT)
 
 

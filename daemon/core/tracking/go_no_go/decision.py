@@ -21,7 +21,7 @@ from linemate.daemon.core.tracking.task import GuardedApproach
 
 CLEAR_S = 0.2  # time without a reason after which a waiting tool goes on [s]
 BACK_S = 0.25  # a no-go on the way that lasts longer makes the tool back off to the far gate [s]
-DECIDED_S = 0.7  # the same for a change of class alone, which is decided within this time [s]
+DECIDED_S = 0.7  # the same if a change of class is the only reason: it is decided until then [s]
 RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
 LOOK_S = 0.6  # images of the object after a change of class, before the touch [s]
 STEADY_S = 0.25  # time since a change of class, before the touch [s]
