@@ -5,7 +5,7 @@ Invariants:
     The daemon's end is built by the daemon; the emulated end has the same files, never its state.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Literal
 
 from linemate.daemon.config.config import LoadedConfig
@@ -22,13 +22,14 @@ from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, Fanu
 from linemate.simulators.devices.limit_judge import AxisLimit
 from linemate.simulators.devices.links.controllers import EmulatedController
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
+from linemate.simulators.devices.rsi_controller import ControllerConfig, RobotReading, RsiController
 from linemate.simulators.devices.sensing.camera_sender import CameraSender
 from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.cell.cell_truth import axis_limits
 from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.sensor_links import CAMERA_CLOCK_NS, SensorEnds
 from linemate.simulators.harness.setup import Setup
+from linemate.simulators.plants.scenario import Vector7
 
 
 def of(station: LoadedConfig | None) -> SensorEnds:
@@ -73,7 +74,7 @@ def pair(
     station = setup.station
     if station is None or station.config.controller.kind.value != setup.controller:
         return families.pair(setup.controller, plant, cycle_s, on_rail=on_rail, limits=limits)
-    emulated = controller(station, plant, cycle_s, limits, on_rail=on_rail)
+    emulated = controller(station, plant.read, plant.start, cycle_s, limits)
     if isinstance(emulated, FanucController):
         emulated.on_reply(packets.write_short(PacketKind.START, emulated.config.version))
     return emulated, build_link(station, parameters)
@@ -81,34 +82,44 @@ def pair(
 
 def controller(
     station: LoadedConfig,
-    plant: RobotPlant,
+    read: Callable[[], RobotReading],
+    pose: Vector7,
     cycle_s: float,
     limits: tuple[AxisLimit, ...],
     *,
-    on_rail: bool,
     timeout_rule: Literal["total", "row"] = "total",
+    first: int | None = None,
 ) -> RsiController | FanucController | EgmController:
     """Return the emulated controller that a configuration belongs to; FANUC's has no stream yet.
 
     Args:
+        read: gives the robot's state at a cycle's start.
+        pose: where its robot stands, A1..A6 [rad], E1 [m].
         limits: of the emulated controller, A1..A6 and E1.
-        on_rail: the arm stands on a linear axis.
         timeout_rule: how RSI counts late replies.
+        first: its first counter, None for its family's own.
     """
     config = station.config
     if config.controller.kind is ControllerKind.FANUC:
-        plain = FanucConfig(cycle_s, config.fanuc.version, config.fanuc.coupled, limits=limits)
-        own = replace(plain, has_rail=on_rail, signals_byte=config.fanuc.signals_byte)
-        return FanucController(plant.read, plant.start, own)
+        fanuc = FanucConfig(
+            cycle_s,
+            config.fanuc.version,
+            config.fanuc.coupled,
+            has_rail=station.task.file.arm.linear_axis,
+            signals_byte=config.fanuc.signals_byte,
+            limits=limits,
+        )
+        return FanucController(read, pose, fanuc)
     if config.controller.kind is ControllerKind.EGM:
-        guided = EgmConfig(cycle_s, robotware=config.egm.robotware, limits=limits)
-        return EgmController(plant.read, plant.start, guided)
-    assert station.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without its file
+        egm = EgmConfig(cycle_s, first or 0, robotware=config.egm.robotware, limits=limits)
+        return EgmController(read, pose, egm)
+    assert station.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without it
     relative = config.rsi.corrections is Corrections.RELATIVE
     rsi = ControllerConfig(
         cycle_s,
+        first_ipoc=ControllerConfig().first_ipoc if first is None else first,
         timeout_rule=timeout_rule,
         mode="relative" if relative else "absolute",
         limits=limits,
     )
-    return RsiController(station.controller_file, plant.read, plant.start, rsi)
+    return RsiController(station.controller_file, read, pose, rsi)

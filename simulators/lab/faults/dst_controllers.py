@@ -7,19 +7,14 @@ Invariants:
 
 from collections import Counter
 from collections.abc import Callable
+from typing import Literal
 
-from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.settings import ControllerKind
 from linemate.protocol.fanuc.packets import PacketKind, write_short
-from linemate.simulators.devices.egm.egm_controller import EgmConfig, EgmController
-from linemate.simulators.devices.fanuc.fanuc_controller import FanucConfig, FanucController
+from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
 from linemate.simulators.devices.robot_program import Controller
-from linemate.simulators.devices.rsi_controller import (
-    Applied,
-    ControllerConfig,
-    RobotReading,
-    RsiController,
-)
+from linemate.simulators.devices.rsi_controller import Applied, RobotReading, RsiController
+from linemate.simulators.harness import cell_links
 from linemate.simulators.lab.faults.dst_cells import axis_limits, rest_pose, station
 from linemate.simulators.lab.faults.dst_plan import FaultPlan, end_of
 from linemate.simulators.plants.scenario import Vector7
@@ -56,37 +51,17 @@ def build(
         pose: where its robot stands, A1..A6 [rad], E1 [m].
         first: its first counter, None for its family's own.
     """
-    files, limits = station(plan.cell), axis_limits(plan.cell)
-    match files.config.controller.kind:
-        case ControllerKind.FANUC:
-            return _fanuc(files, plan, read, pose)
-        case ControllerKind.EGM:
-            robotware = files.config.egm.robotware
-            egm = EgmConfig(plan.cycle_s, first or 0, robotware=robotware, limits=limits)
-            return EgmController(read, pose, egm)
-    assert files.controller_file is not None  # noqa: S101 - ``config.load`` refuses RSI without it
-    own = ControllerConfig(
-        # The controller counts in the cycle that it says it has.
-        cycle_s=plan.cycle_s,
-        first_ipoc=ControllerConfig().first_ipoc if first is None else first,
-        timeout_rule="row" if plan.rule == "row" else "total",
-        limits=limits,
-    )
-    return RsiController(files.controller_file, read, pose, own)
-
-
-def _fanuc(
-    files: LoadedConfig, plan: FaultPlan, read: Callable[[], RobotReading], pose: Vector7
-) -> FanucController:
-    own = FanucConfig(
+    rule: Literal["row", "total"] = "row" if plan.rule == "row" else "total"
+    # The controller counts in the cycle that it says it has.
+    return cell_links.controller(
+        station(plan.cell),
+        read,
+        pose,
         plan.cycle_s,
-        files.config.fanuc.version,
-        files.config.fanuc.coupled,
-        has_rail=files.task.file.arm.linear_axis,
-        signals_byte=files.config.fanuc.signals_byte,
-        limits=axis_limits(plan.cell),
+        axis_limits(plan.cell),
+        timeout_rule=rule,
+        first=first,
     )
-    return FanucController(read, pose, own)
 
 
 class StrictFamily:

@@ -144,12 +144,7 @@ class ShiftRun:
         self.plant = RobotPlant(self.line)
         limits = cell_truth.axis_limits(files.task.urdf, files.task.file)
         self.controller = cell_links.controller(
-            files,
-            self.plant,
-            files.cycle_s,
-            limits,
-            on_rail=files.task.file.arm.linear_axis,
-            timeout_rule="row",
+            files, self.plant.read, self.plant.start, files.cycle_s, limits, timeout_rule="row"
         )
         self._sent: tuple[float, ...] = self.plant.start
         mount = files.task.file.conveyor.start_position
