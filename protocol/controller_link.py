@@ -9,7 +9,7 @@ Invariants:
     A reply is written before its telegram comes, but for the counter.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from enum import StrEnum
 from typing import NamedTuple, Protocol
 
@@ -20,6 +20,9 @@ from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 # Jitter and a controller that was stalled for a moment leave less unaccounted than this [s].
 ACCOUNTED_S = 0.08
+
+IsLost = Callable[[tuple[float, ...]], bool]
+"""Whether the last setpoint did not arrive, by where the controller sends its servos [rad, m]."""
 
 
 class SetpointKind(StrEnum):
@@ -66,6 +69,7 @@ class ControllerTelegram(NamedTuple):
         robot: what it says of the robot.
         programmed: position of the axes without corrections [rad, m], None if not in the telegram.
         unready: why the controller takes no setpoint now and what to do, None if it takes them.
+        sent_to: where the controller sends its servos [rad, m], None if not in the telegram.
     """
 
     counter: int
@@ -73,6 +77,7 @@ class ControllerTelegram(NamedTuple):
     robot: RobotSample
     programmed: tuple[float, ...] | None = None
     unready: str | None = None
+    sent_to: tuple[float, ...] | None = None
 
 
 class PreparedReply(Struct, frozen=True):
@@ -159,7 +164,12 @@ class ControllerLink(Protocol):
         """
 
     def expect(
-        self, counter: int, delay: int | None, joints: Vector6, reach: float
+        self,
+        counter: int,
+        delay: int | None,
+        joints: Vector6,
+        reach: float,
+        is_lost: IsLost | None = None,
     ) -> tuple[TelegramPattern, bytes] | None:
         """Return the telegram to expect next and the echo of its counter, None if unknown.
 
@@ -169,6 +179,7 @@ class ControllerLink(Protocol):
             delay: bad cycles that it will have counted, None if it counts none.
             joints: the last measured joints [rad].
             reach: how far from there a joint may be [rad].
+            is_lost: the last setpoint, by where the controller sends its servos.
         """
 
     def prepare(

@@ -220,7 +220,9 @@ class Cycle(RestingStepper):
         counter, peer = foreseen
         joints = self._joints if rest is None else rest.robot.joints
         reach = LONGEST_JUMP if rest is None else STILL
-        expected = self._link.expect(counter, self.session.delay, joints, reach)
+        expected = self._link.expect(
+            counter, self.session.delay, joints, reach, self.session.would_be_lost
+        )
         if expected is None:
             return None
         pattern, echo = expected
@@ -250,7 +252,7 @@ class Cycle(RestingStepper):
             if proven is None:
                 return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
             decision = self.decision = proven
-        if self.session.settle(robot.delay, decision.missed + 1, stamp_ns):
+        if self.session.settle(robot.delay, decision.missed + 1, stamp_ns, telegram.sent_to):
             self.operating.is_reply_lost = True
         arrived = robot
         if decision.kind not in _OPENS:

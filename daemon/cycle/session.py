@@ -10,6 +10,7 @@ from collections.abc import Hashable
 from msgspec.structs import replace
 
 from linemate.daemon.cycle import setpoint_reference as proving
+from linemate.daemon.cycle.setpoint_delivery import DeliveryCheck
 from linemate.daemon.cycle.setpoint_reference import (
     CONFIRMATIONS,
     Axes,
@@ -56,6 +57,7 @@ class Session:
         "_candidate",
         "_cycle_s",
         "_delay",
+        "_delivery",
         "_heard_ns",
         "_is_interrupted",
         "_is_refuted",
@@ -107,6 +109,7 @@ class Session:
         self._rules = rules
         self._cycle_s = cycle_s
         self._delay: int | None = None
+        self._delivery = DeliveryCheck(cycle_s)
         self._heard_ns: int | None = None
         self._listening_ns: int | None = None
         self._program: Program | None = None
@@ -385,7 +388,13 @@ class Session:
             self._program = program._replace(replies=program.replies + 1)
             self._is_interrupted = True
 
-    def settle(self, delay: int | None, cycles: int, stamp_ns: int) -> bool:
+    def would_be_lost(self, sent_to: Axes) -> bool:
+        """Return whether the last setpoint is lost, by where the servos are sent [rad, m]."""
+        return self.pending is not None and self._delivery.would_be_lost(self.pending, sent_to)
+
+    def settle(
+        self, delay: int | None, cycles: int, stamp_ns: int, sent_to: Axes | None = None
+    ) -> bool:
         """Find out whether the controller applied the last reply.
 
         It counts every cycle without a good one. If as many are new as have passed, then the
@@ -397,9 +406,10 @@ class Session:
             delay: what it has counted now.
             cycles: since its last telegram, by their counters.
             stamp_ns: arrival of the present one [ns].
+            sent_to: where it sends its servos [rad, m], None if it does not say so.
 
         Returns:
-            Whether a reply is lost.
+            Whether a reply is lost, or it is doubtful whether replies arrive.
         """
         cycles += self.unserved
         self.unserved = 0
@@ -409,18 +419,25 @@ class Session:
         answered_ns = stamp_ns if program is None else program.stamp_ns
         passed = (stamp_ns - answered_ns) * 1e-9 / self._cycle_s
         if given is None:
+            self._delivery.reset()
             return False
         bad = 0 if delay is None or before is None else delay - before
         self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
         # The controller has this cycle's reply when it looks again, and the late one never acted.
         replied_ns = answered_ns + self.turnaround_ns + round(SUPERSEDED * 1e9 * self._cycle_s)
         self.was_lost |= self._rules.newest_acts and replied_ns > stamp_ns
+        if sent_to is None or cycles != 1 or self.was_lost:
+            self._delivery.reset()
+        else:
+            self._delivery.add(given, sent_to)
+        if self._delivery.is_lost and sent_to is not None:
+            self.was_lost, self.applied = True, sent_to
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1
         else:
             self.applied = given
-        return self.was_lost
+        return self.was_lost or self._delivery.is_doubtful
 
     def note_reply(
         self, command: Axes, robot: RobotSample, peer: Hashable, step: int | None

@@ -14,6 +14,7 @@ from linemate.protocol.controller_link import (
     ControllerError,
     ControllerTelegram,
     ExchangeRules,
+    IsLost,
     PreparedReply,
     SetpointKind,
 )
@@ -74,16 +75,23 @@ class EgmLink:
             self._codec.correction_header(message.sequence),
             robot,
             unready=unready(message),
+            sent_to=self._sent_to(message.planned),
         )
 
     def expect(
-        self, counter: int, delay: int | None, joints: Vector6, reach: float
+        self,
+        counter: int,
+        delay: int | None,
+        joints: Vector6,
+        reach: float,
+        is_lost: IsLost | None = None,
     ) -> "tuple[ExpectedMessage, bytes] | None":
         """Return the message to expect next and its reply's header; EGM counts no bad cycles."""
         del delay
         if not 0 <= counter < 2**32:
             return None
-        return ExpectedMessage(self, counter, joints, reach), self._codec.correction_header(counter)
+        expected = ExpectedMessage(self, counter, joints, reach, is_lost)
+        return expected, self._codec.correction_header(counter)
 
     def prepare(
         self, command: tuple[float, ...], origin: tuple[float, ...], digital_out: int
@@ -118,6 +126,12 @@ class EgmLink:
         del digital_out, writes_zero
         return None
 
+    def _sent_to(self, planned: messages.EgmPosition) -> tuple[float, ...] | None:
+        """Return the position planned by the controller, as far as the arm has its axes."""
+        if planned.joints is None or (self._is_on_rail and not planned.external):
+            return None
+        return (*planned.joints, *planned.external[: self._is_on_rail])
+
     def _signals(self, message: messages.RobotMessage) -> int:
         if not self._has_signals or not message.rapid_data:
             return 0
@@ -136,16 +150,24 @@ class ExpectedMessage:
     It is read whole: a controller may write a number in more bytes than before.
     """
 
-    __slots__ = ("_counter", "_joints", "_link", "_reach")
+    __slots__ = ("_counter", "_is_lost", "_joints", "_link", "_reach")
 
-    def __init__(self, link: EgmLink, counter: int, joints: Vector6, reach: float) -> None:
+    def __init__(
+        self,
+        link: EgmLink,
+        counter: int,
+        joints: Vector6,
+        reach: float,
+        is_lost: IsLost | None = None,
+    ) -> None:
         """Keep the expected values.
 
         Args:
             joints: the last measured joints [rad].
             reach: how far from there a joint may be [rad].
+            is_lost: the last setpoint, by where the controller sends its servos.
         """
-        self._link, self._counter = link, counter
+        self._link, self._counter, self._is_lost = link, counter, is_lost
         self._joints, self._reach = joints, reach
 
     def matches(self, data: bytes) -> bool:
@@ -155,6 +177,8 @@ class ExpectedMessage:
         except ControllerError:
             return False
         if telegram.counter != self._counter or telegram.unready is not None:
+            return False
+        if self._is_lost and telegram.sent_to is not None and self._is_lost(telegram.sent_to):
             return False
         ways = zip(telegram.robot.joints, self._joints, strict=True)
         return all(abs(now - before) <= self._reach for now, before in ways)

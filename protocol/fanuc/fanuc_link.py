@@ -15,6 +15,7 @@ from linemate.protocol.controller_family import refusal
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
+    IsLost,
     PreparedReply,
     SetpointKind,
 )
@@ -140,7 +141,12 @@ class FanucLink:
         )
 
     def expect(
-        self, counter: int, delay: int | None, joints: Vector6, reach: float
+        self,
+        counter: int,
+        delay: int | None,
+        joints: Vector6,
+        reach: float,
+        is_lost: IsLost | None = None,
     ) -> tuple[ExpectedStatus, bytes]:
         """Return the status packet to expect next and its number.
 
@@ -148,8 +154,9 @@ class FanucLink:
             delay: not counted by this controller.
             joints: the last measured joints [rad].
             reach: how far from there a joint may be [rad].
+            is_lost: not shown by this controller.
         """
-        del delay
+        del delay, is_lost
         number = echo(counter)
         wire = self._wire(joints)
         # A coupled J3 is a difference of two joints.

@@ -12,6 +12,7 @@ from linemate.protocol.controller_family import refusal
 from linemate.protocol.controller_link import (
     ControllerTelegram,
     ExchangeRules,
+    IsLost,
     PreparedReply,
     SetpointKind,
 )
@@ -93,9 +94,18 @@ class RsiLink:
         return None if not external else (*telegram.joint_setpoints, external[0])
 
     def expect(
-        self, counter: int, delay: int | None, joints: Vector6, reach: float
+        self,
+        counter: int,
+        delay: int | None,
+        joints: Vector6,
+        reach: float,
+        is_lost: IsLost | None = None,
     ) -> tuple[ExpectedTelegram, bytes] | None:
-        """Return the telegram to expect next and its digits, None without AIPos or its Delay."""
+        """Return the telegram to expect next and its digits, None without AIPos or its Delay.
+
+        A lost setpoint shows in ``delay``, not in where the servos are sent.
+        """
+        del is_lost
         telegram = self._codec.expect_robot(counter, delay, joints, reach)
         return None if telegram is None else (telegram, b"%d" % counter)
 
