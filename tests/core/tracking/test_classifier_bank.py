@@ -39,6 +39,7 @@ from linemate.daemon.core.tracking.settings import (
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
 NEVER = 1e9
+HESITATES = -0.06  # acceleration of a drive that stalls as it starts [m/s^2]
 # Without ripple the filter's own noise does not depend on what it believes of the speed.
 FUSION = FusionSettings(ripple=1e-9, slip=0.0, slip_walk=0.0)
 NO_RIPPLE = RippleSettings(deviation=0.0)
@@ -729,3 +730,13 @@ def test_a_contact_lasts_from_one_deflection_to_the_next_and_ends_without() -> N
     touched, free = (True, True, True, 0.0003), (False, False, False, 0.0)
     # The last deflection came in step 28; 8 ms later there is no contact any more.
     assert seen == [free] * 10 + [touched] * 22 + [free] * 8
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_that_hesitates_in_contact_is_no_stop(seed: int) -> None:
+    """A drive that starts loses 5 mm/s within 0.08 s: a stop loses 8 mm/s."""
+    truth = Truth(9.0, ((0.5, -STOP), (3.0, START), (8.0, HESITATES), (8.08, START)), seed=seed)
+    events = in_contact(truth, lambda _: 0.0, 8.6, seed)
+    stops = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(stops) == 1
+    assert stops[0] < 1.0

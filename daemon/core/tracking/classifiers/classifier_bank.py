@@ -201,7 +201,9 @@ class BankClassifier(BankModel):
         settings = self.bank
         limit = settings.start_confirmed
         if event == "stop":
-            limit = settings.contact_confirmed if state.is_keen else settings.stop_confirmed
+            # A drive that starts is less even than one that runs.
+            is_quick = state.is_keen and state.motion is Motion.RUNNING
+            limit = settings.contact_confirmed if is_quick else settings.stop_confirmed
         state = replace(
             state,
             change=change,
