@@ -37,7 +37,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out most of the whole runs that are marked as rows; which ones, the text says."""
+    """Leave out most of the tests that are marked as rows; which ones, the text says."""
     share, text = config.getoption("--share"), config.getoption("--share-of")
     kept, left_out = [], []
     for item in items:

@@ -122,6 +122,7 @@ def other_deliveries(state: StepState, inputs: Inputs) -> list[Inputs]:
     ]
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("order", list(MotionOrder))
 def test_a_plan_finished_for_another_delivery_of_the_last_command_is_the_whole_step(
     assembly: Assembly, order: MotionOrder

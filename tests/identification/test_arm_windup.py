@@ -68,6 +68,7 @@ def found(depths: tuple[float, ...] = DEPTHS) -> ArmWindup:
     return identify_arm_windup([recording(depths)], look, CAMERA, kinematics, NOMINAL)
 
 
+@pytest.mark.row
 def test_the_depth_of_each_axis_is_found_within_its_deviation() -> None:
     for outcome, true in zip(found().depths, (*DEPTHS, 0.0, 0.0, 0.0), strict=True):
         assert isinstance(outcome, Estimate)
@@ -80,10 +81,12 @@ def test_only_axes_that_wind_up_get_settings() -> None:
     assert 1.5e-3 <= axes[0].travel <= 5e-3
 
 
+@pytest.mark.row
 def test_an_arm_without_windup_gets_none() -> None:
     assert found((0.0, 0.0, 0.0)).axes == ()
 
 
+@pytest.mark.row
 def test_windup_makes_false_swings_until_it_is_known() -> None:
     bent = bent_trace(recording(), found().axes, kinematics, NOMINAL)
     chi2 = []

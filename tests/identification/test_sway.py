@@ -192,6 +192,7 @@ def test_a_camera_too_noisy_for_the_sway_bounds_it_widely() -> None:
     assert noisy > 2.5 * good
 
 
+@pytest.mark.row
 @pytest.mark.parametrize(("axis", "gain"), [(2, 0.3), (2, -0.3), (0, 0.3)])
 def test_a_sway_across_the_line_is_found_as_a_swing_without_a_turn(axis: int, gain: float) -> None:
     body = Body(frequency_hz=0.9, gain=gain, axis=axis, seed=3)

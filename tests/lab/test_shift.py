@@ -95,6 +95,7 @@ def test_the_lines_controller_types_no_order(outcome: ShiftOutcome) -> None:
     assert outcome.requests["announce"] == len(CARS)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("family", ["fanuc", "egm"])
 def test_a_shift_behind_another_controller_mounts_and_reports_the_same_cars(
     family: str, tmp_path: Path

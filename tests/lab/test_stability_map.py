@@ -45,6 +45,7 @@ def is_calm(figures: dict[str, Any], cell: TwoBodyCell) -> bool:
     )
 
 
+@pytest.mark.row
 @pytest.mark.parametrize(("cell", "mode"), CALM, ids=str)
 def test_a_body_that_is_kicked_in_contact_comes_to_rest(cell: TwoBodyCell, mode: CarMode) -> None:
     figures = shown(begun(cell), mode)
@@ -89,6 +90,7 @@ def around_a_late_kick(cell: TwoBodyCell, mode: CarMode) -> dict[str, Any]:
     return stability_map.figures(trace, cell.cycle_s)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize(("cell", "mode"), UNKICKED, ids=str)
 def test_a_body_that_nothing_excites_is_not_driven_and_comes_to_rest_after_a_late_kick(
     cell: TwoBodyCell, mode: CarMode

@@ -136,6 +136,7 @@ def _watch_memory(pid: int, peaks: list[float]) -> None:
             time.sleep(0.002)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("bomb", BOMBS)
 @pytest.mark.parametrize("command", ["replay", "export", "identify", "view"])
 def test_a_bomb_is_refused_within_256_mib_and_5_s(

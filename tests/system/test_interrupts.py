@@ -25,6 +25,7 @@ LONG = {
 }
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("name", LONG)
 def test_ctrl_c_ends_a_command_within_a_second(name: str, tmp_path: Path) -> None:
     from rerun import GOLDEN

@@ -241,6 +241,7 @@ def test_the_good_site_is_good_and_slow(tmp_path: Path) -> None:
     assert 0.2 < speed < 0.4
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("name", SLIPS)
 def test_a_slip_is_refused_or_the_tcp_stays_slow(name: str, tmp_path: Path) -> None:
     site = good()

@@ -51,6 +51,7 @@ def followed(model: dead_time.DriftModel, setpoints: Array, reported: Array) -> 
     return np.array(drifts)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("cycle_s", [0.002, 0.008, 0.024])
 @pytest.mark.parametrize("later_s", [-0.015, 0.083])
 def test_the_drift_becomes_that_of_the_answers(cycle_s: float, later_s: float) -> None:

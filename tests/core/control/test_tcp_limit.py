@@ -121,6 +121,7 @@ def true_speed(commands: Array, cycle_s: float) -> float:
     return float(way.max()) / (cycle_s / substeps)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("cycle_s", CYCLES)
 @pytest.mark.parametrize("share", [1.0, 0.15])
 def test_whatever_is_desired_the_tcp_keeps_its_limit_and_the_axes_theirs(

@@ -40,7 +40,8 @@ BANK = BankClassifier(CONVEYOR, FUSION, BankSettings(), NOISE)
 IMM = ImmClassifier(CONVEYOR, FUSION, BankSettings(), ImmSettings(), NOISE)
 CONSTANT = RuleClassifier(CONVEYOR, FUSION, RuleSettings(), NOISE, classes=False)
 
-each = pytest.mark.parametrize("classifier", [RULE, BANK, IMM], ids=["rule", "bank", "imm"])
+CLASSIFIERS = [RULE, BANK, pytest.param(IMM, marks=pytest.mark.row)]
+each = pytest.mark.parametrize("classifier", CLASSIFIERS, ids=["rule", "bank", "imm"])
 SEEDS = range(3)
 STOPPED = NOMINAL / STOP  # how long a stop takes [s]
 STARTED = NOMINAL / START
@@ -209,7 +210,7 @@ def test_two_outliers_in_a_row_confirm_nothing(classifier: Classifier) -> None:
     assert np.abs(outcome.position_errors(truth, 0.0)).max() < 0.0012
 
 
-@pytest.mark.parametrize("classifier", [RULE, BANK, IMM], ids=["rule", "bank", "imm"])
+@pytest.mark.parametrize("classifier", CLASSIFIERS, ids=["rule", "bank", "imm"])
 @pytest.mark.parametrize("shift", [-0.1, 1.0])
 def test_a_sensor_that_has_really_moved_does_not_lock_the_filter_out(
     classifier: Classifier, shift: float

@@ -86,6 +86,7 @@ RUNS = {
 SLOWEST = "stop and slow start"
 
 
+@pytest.mark.row
 @pytest.mark.parametrize(
     ("name", "classifier"),
     [*((name, "default") for name in RUNS), (SLOWEST, "rule"), (SLOWEST, "imm")],

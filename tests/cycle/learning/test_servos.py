@@ -29,6 +29,7 @@ def learner(servos: tuple[ServoModel, ...], **bounds: float) -> Learner:
     return Learner(AdaptationSettings(**bounds), servos, 0.012)
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("factor", [0.9, 1.0])
 def test_a_wheel_tells_how_quick_the_servos_have_become(factor: float) -> None:
     servos, entries = wheel(factor)
