@@ -246,6 +246,7 @@ def environment(folder: Path) -> dict[str, str]:
     return {**os.environ, **home, "PATH": path, "LINEMATE_SOCKET": str(folder / "command.sock")}
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("block", [block for block in BLOCKS if not block.host], ids=str)
 def test_every_command_shown_runs(block: Block, scratch: Path) -> None:
     cheap = []

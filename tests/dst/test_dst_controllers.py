@@ -31,6 +31,7 @@ def test_without_trouble_the_wheel_is_on_the_hub_and_every_telegram_answered(cel
     assert simulation.world.released_s is not None
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("cell", CELLS)
 @pytest.mark.parametrize("seed", [3, 6])
 def test_a_seed_runs_without_a_violation(cell: str, seed: int) -> None:

@@ -21,6 +21,7 @@ def overrides(travel: float, *, is_configured: bool) -> tuple[str, ...]:
     return (*lines, known) if is_configured else lines
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("travel", [1e-3, 10e-3])
 def test_an_arm_whose_windup_is_known_is_as_exact_as_one_without(travel: float) -> None:
     jobs = [

@@ -8,6 +8,8 @@ import pytest
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
 
+pytestmark = pytest.mark.row
+
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
 
 SEEDS = (1, 11)

@@ -21,6 +21,8 @@ from linemate.simulators.harness.sensor_links import SensorLinks
 from linemate.simulators.judge.judge import judge
 from linemate.simulators.plants.scenario import Fault
 
+pytestmark = pytest.mark.row
+
 SHIPPED = (PROTOCOL_DATA / "rsi_joints.xml").read_bytes()
 END_S = 5.0
 AGREES = 1e-7
