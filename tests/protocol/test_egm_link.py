@@ -141,3 +141,36 @@ def test_a_run_that_ended_by_convergence_says_how_to_keep_it() -> None:
         assert read.unready is not None
         assert word in read.unready
     assert link().read(telegram(is_converged=True), 0).unready is None
+
+
+@pytest.mark.parametrize(
+    ("planned", "on_rail", "sent_to"),
+    [
+        (messages.EgmPosition(JOINTS, (0.25,)), True, (*JOINTS, 0.25)),
+        (messages.EgmPosition(JOINTS, (0.25,)), False, JOINTS),
+        (messages.EgmPosition(JOINTS), True, None),
+        (messages.EgmPosition(), False, None),
+    ],
+)
+def test_a_telegram_says_where_the_servos_of_the_arms_axes_are_sent(
+    planned: messages.EgmPosition, on_rail: bool, sent_to: tuple[float, ...] | None
+) -> None:
+    read = link(on_rail=on_rail).read(telegram(planned=planned), 0)
+    assert (read.sent_to is None) is (sent_to is None)
+    if sent_to is not None:
+        assert read.sent_to == pytest.approx(sent_to)
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_message_that_shows_a_lost_setpoint_is_not_the_expected_one(is_lost: bool) -> None:
+    seen: list[tuple[float, ...]] = []
+
+    def judge(sent_to: tuple[float, ...]) -> bool:
+        seen.append(sent_to)
+        return is_lost
+
+    expected = link().expect(41, None, JOINTS, 0.05, judge)
+    assert expected is not None
+    data = telegram(planned=messages.EgmPosition(JOINTS, (0.25,)))
+    assert expected[0].matches(data) is not is_lost
+    assert seen == [pytest.approx((*JOINTS, 0.25))]
