@@ -119,10 +119,12 @@ def until_scene(machine: Machine, time_s: float) -> None:
     raise AssertionError("the emulated car did not come")
 
 
-def ordered(machine: Machine, op: str) -> None:
+def started(machine: Machine) -> None:
+    """Arm and start; a machine that stood still disarms the robot in between."""
     end = time.monotonic() + TIMEOUT_S
-    while (done := tool(machine, op)).returncode != 0:
+    while (done := tool(machine, "start")).returncode != 0:
         assert time.monotonic() < end, done.stderr
+        tool(machine, "arm")
         time.sleep(0.05)
 
 
@@ -143,8 +145,7 @@ def test_a_daemon_killed_while_it_leads_moves_nothing_when_it_is_back(machine: M
     machine.run("systemctl", "start", UNIT)
     time.sleep(SILENCE_S)
     machine.run("systemctl", "start", LAB)
-    ordered(machine, "arm")
-    ordered(machine, "start")
+    started(machine)
     until(machine, lambda status: status["state"] == "track", "the robot is led")
     until_scene(machine, LED_S)
     pid = int(machine.show(UNIT, "MainPID")["MainPID"])
