@@ -14,7 +14,8 @@ from collections import deque
 
 from linemate.daemon.cycle.setpoint_reference import Axes
 
-# The motion of the setpoints is judged over so long [s]. A filter's lag should be shorter.
+# The motion of the setpoints is judged over so long [s]. A filter may lag by 50 ms: a steady motion
+# has lasted for twice this time, and most of its last half has come through.
 WINDOW_S = 0.024
 LEAST = 6e-4  # a shorter way in that time is not judged [rad, m]
 STEADY = 0.3  # the ways of two such times differ by no more than this share

@@ -6,8 +6,6 @@ from contact_runs import live
 from linemate.daemon.cycle.states import State
 from linemate.simulators.plants.scenario import Fault
 
-pytestmark = pytest.mark.row
-
 TOUCH_N = 80.0
 NEARER_N = 85.0
 HELD_N = 200.0

@@ -21,8 +21,6 @@ from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 
-pytestmark = pytest.mark.row
-
 CALLED: tuple[tuple[Any, str], ...] = (
     (RsiCodec, "parse_robot"),
     (Exchange, "on_telegram"),

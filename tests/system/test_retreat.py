@@ -6,8 +6,6 @@ from contact_runs import live
 from linemate.daemon.cycle.states import CLAMP_CLOSED, State
 from linemate.simulators.plants.scenario import Fault
 
-pytestmark = pytest.mark.row
-
 BEARABLE_N = 100.0
 NEVER_S = 1e4
 SENSORS = ("distance", "camera", "force_torque")

@@ -16,8 +16,6 @@ from linemate.simulators.lab.faults import dst_run
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.scenario import Fault
 
-pytestmark = pytest.mark.row
-
 CONFIGURED_MS = 12
 
 

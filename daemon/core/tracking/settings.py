@@ -268,7 +268,8 @@ class BankSettings:
     Attributes:
         perceived: log odds at which a change counts as perceived.
         stop_confirmed: log odds at which a stop is confirmed.
-        contact_confirmed: log odds at which a stop is confirmed in contact, by the force too.
+        contact_confirmed: log odds at which a stop of a running conveyor is confirmed in contact,
+            by the force too.
         start_confirmed: log odds at which a start is confirmed.
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
         as_set: how likely a stop or a start goes on as it was set, which the prediction then takes

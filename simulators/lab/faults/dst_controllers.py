@@ -7,7 +7,6 @@ Invariants:
 
 from collections import Counter
 from collections.abc import Callable
-from typing import Literal
 
 from linemate.daemon.config.settings import ControllerKind
 from linemate.protocol.fanuc.packets import PacketKind, write_short
@@ -51,7 +50,6 @@ def build(
         pose: where its robot stands, A1..A6 [rad], E1 [m].
         first: its first counter, None for its family's own.
     """
-    rule: Literal["row", "total"] = "row" if plan.rule == "row" else "total"
     # The controller counts in the cycle that it says it has.
     return cell_links.controller(
         station(plan.cell),
@@ -59,7 +57,7 @@ def build(
         pose,
         plan.cycle_s,
         axis_limits(plan.cell),
-        timeout_rule=rule,
+        timeout_rule="row" if plan.rule == "row" else "total",
         first=first,
     )
 
