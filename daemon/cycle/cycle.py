@@ -254,6 +254,7 @@ class Cycle(RestingStepper):
             decision = self.decision = proven
         if self.session.settle(robot.delay, decision.missed + 1, stamp_ns, telegram.sent_to):
             self.operating.is_reply_lost = True
+        self.operating.unled_s = self.session.unled * self.parameters.cycle_s
         arrived = robot
         if decision.kind not in _OPENS:
             stamp_ns = self.date(stamp_ns, decision.missed + 1)

@@ -68,6 +68,7 @@ class Operating:
         has_resynchronised: event: the counter or the address has changed, the program goes on.
         is_reply_lost: event: a reply has not reached the robot.
         has_failed: event: what was begun raised.
+        unled_s: event: the robot had no setpoint for so long [s].
         wrong_cycle: why the controller's period cannot be followed, None if it can.
         cause: why the present state was entered.
         fault: the cause of the latched fault, None without one.
@@ -85,6 +86,7 @@ class Operating:
         self.on_transition: OnTransition | None = None
         self.has_new_session = self.has_resynchronised = False
         self.is_reply_lost = self.has_failed = False
+        self.unled_s = 0.0
         self.wrong_cycle: str | None = None
         self._cycle_s = cycle_s
         self._wrench_expected = wrench_expected
@@ -150,6 +152,7 @@ class Operating:
         self.decisions += 1
         self.has_new_session = self.has_resynchronised = False
         self.is_reply_lost = self.has_failed = False
+        self.unled_s = 0.0
         seen = self.signals
         self._watch, self.signals = watch.observe(self._watch, facts, before, self.settings)
         # Where the same signals led nowhere a cycle ago, they lead nowhere now.
@@ -219,6 +222,7 @@ class Operating:
             return watch.Facts(
                 stamp_ns,
                 telegram,
+                self.unled_s,
                 self.has_new_session,
                 self.has_resynchronised,
                 self.wrong_cycle,
@@ -241,6 +245,7 @@ class Operating:
         return watch.Facts(
             stamp_ns=stamp_ns,
             telegram=telegram,
+            unled_s=self.unled_s,
             new_session=self.has_new_session,
             wrong_cycle=self.wrong_cycle,
             resynchronised=self.has_resynchronised,

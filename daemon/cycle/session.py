@@ -50,6 +50,7 @@ class Session:
         unserved: telegrams that were accepted since and got no reply, because the daemon failed.
         stalled_s: for so long the controller counted cycles and this process's clock did not [s].
         replies_lost: replies that were not applied.
+        unled: cycles of the controller in a row in which it got no setpoint.
         turnaround_ns: from the arrival of the last answered telegram to its reply [ns].
     """
 
@@ -80,6 +81,7 @@ class Session:
         "replies_lost",
         "stalled_s",
         "turnaround_ns",
+        "unled",
         "unproven",
         "unserved",
         "was_lost",
@@ -105,7 +107,7 @@ class Session:
         self.stalled_s = 0.0
         self.turnaround_ns = 0
         self.unserved = 0
-        self.openings = self.replies_lost = 0
+        self.openings = self.replies_lost = self.unled = 0
         self._rules = rules
         self._cycle_s = cycle_s
         self._delay: int | None = None
@@ -361,7 +363,7 @@ class Session:
         self.openings += 1
         self.reference, self._program = start, None
         self.resume(held, delay)
-        self.was_sent = True
+        self.was_sent, self.unled = True, 0
 
     def resume(self, held: Axes, delay: int | None) -> bool:
         """Go on with a program whose controller has held the robot since its last reply.
@@ -371,6 +373,7 @@ class Session:
         """
         is_lost = self.pending is not None and self.pending != held
         self.replies_lost += is_lost
+        self.unled += self.cycles_since_command - (not is_lost)
         self.pending, self.applied = None, held
         self._delay = delay
         self.was_lost, self.was_sent, self.moves = False, False, False
@@ -435,8 +438,10 @@ class Session:
         if self.was_lost:
             self.moves = False
             self.replies_lost += 1
+            self.unled += cycles
         else:
             self.applied = given
+            self.unled = cycles - 1
         return self.was_lost or self._delivery.is_doubtful
 
     def note_reply(

@@ -25,6 +25,7 @@ class Facts(Struct, frozen=True):
     Attributes:
         stamp_ns: of the cycle [ns].
         telegram: the cycle has a telegram.
+        unled_s: the robot had no setpoint for so long, by the controller's own count [s].
         new_session: the controller's program has started again.
         resynchronised: the counter or the controller's address has changed, the program goes on.
         wrong_cycle: why the controller's period cannot be followed, None if it can.
@@ -46,6 +47,7 @@ class Facts(Struct, frozen=True):
 
     stamp_ns: int
     telegram: bool
+    unled_s: float = 0.0
     new_session: bool = False
     resynchronised: bool = False
     wrong_cycle: str | None = None
@@ -130,6 +132,8 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
     elif watch.link is Link.HEALTHY:
         missed_s = settings.missed_in_contact_s if in_contact else settings.missed_s
         shaky = leak_ns >= most_ns or silent_s >= missed_s
+        # A clock that stood still with this process does not fill the bucket.
+        shaky = shaky or 2e9 * facts.unled_s >= most_ns
         shaky = shaky or facts.resynchronised or facts.wrong_cycle is not None
         link = Link.UNPROVEN if shaky else Link.HEALTHY
     else:

@@ -89,6 +89,33 @@ def test_a_program_that_cannot_be_proven_to_go_on_is_refused_with_what_to_do(
     assert proven(session, telegram(ipoc + STEP, at_s + CYCLE_S, delay, THERE)) is None
 
 
+def test_cycles_without_a_setpoint_are_counted_though_the_clock_stood_still_with_the_process() -> (
+    None
+):
+    session = running()
+    back = telegram(1200 + 8 * STEP, 12.012, 11, THERE)
+    session.cycles_since_command += 8
+    assert proven(session, back) == (START, SENT)
+    session.resume(SENT, 11)
+    assert session.unled == 7  # the first of the eight had the reply to 1200
+    session.settle(11, 8, back.stamp_ns)
+    session.note_reply(SENT, back, "robot", STEP)
+    session.settle(11, 1, 12_024_000_000)
+    assert session.unled == 0
+
+
+@pytest.mark.parametrize(("delays", "unled"), [((1, 2), 2), ((1, 1), 0), ((0, 1), 1)])
+def test_replies_that_were_not_applied_are_cycles_without_a_setpoint(
+    delays: tuple[int, ...], unled: int
+) -> None:
+    session = running()
+    for n, delay in enumerate(delays, start=1):
+        robot = telegram(1200 + n * STEP, 12.0 + n * CYCLE_S, delay, SENT)
+        session.settle(delay, 1, robot.stamp_ns)
+        session.note_reply(SENT, robot, "robot", STEP)
+    assert session.unled == unled
+
+
 def test_a_counter_that_jumped_at_its_pace_continues_the_program() -> None:
     session = running()
     for n, delay in ((1, 5), (2, 6)):

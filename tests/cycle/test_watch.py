@@ -89,6 +89,22 @@ def test_140_ms_without_telegrams_change_nothing_in_contact(cycle_ns: int) -> No
     assert run.cycle().link is Link.HEALTHY
 
 
+@pytest.mark.parametrize(
+    ("state", "unled_s", "link"),
+    [
+        (State.TRACK, 0.05, Link.HEALTHY),
+        (State.TRACK, 0.06, Link.UNPROVEN),
+        (State.CONTACT, 0.14, Link.HEALTHY),
+        (State.CONTACT, 0.15, Link.UNPROVEN),
+    ],
+)
+def test_a_robot_that_got_no_setpoints_is_as_doubtful_as_one_that_sent_no_telegrams(
+    state: State, unled_s: float, link: Link
+) -> None:
+    run = Run(state).healthy()
+    assert run.cycle(unled_s=unled_s).link is link
+
+
 def test_a_lost_link_must_prove_itself_again() -> None:
     run = Run(State.CONTACT).healthy()
     silent_until(run, Link.LOST)
