@@ -31,6 +31,8 @@ from linemate.simulators.lab.commission_run import CommissioningRun
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Scenario
 
+pytestmark = pytest.mark.row
+
 CAMERA_PLACE = (-0.05, 0.08, -0.2)
 TURNED_CAMERA = (0.2, 0.3, -1.5)
 SENSOR_ON_FLANGE = (-0.2, 0.0, -0.35)

@@ -21,6 +21,8 @@ from linemate.simulators.judge.judge import judge
 from linemate.simulators.lab import commission_cell
 from linemate.simulators.lab.commission_cell import EmulatedCell
 
+pytestmark = pytest.mark.row
+
 CAMERA_PLACE, CAMERA_TURN = (-0.06, 0.05, -0.12), (0.1, -0.2, 0.9)
 SENSOR_TURN = (0.2, -0.4, 1.0)
 MASS = 6.0  # of the tool [kg]
