@@ -7,6 +7,7 @@ derivative.
 Invariants:
 - Committed steps are kept bit for bit. The next step may be committed by a share.
 - Matrices are computed at start-up; a merge is one product.
+- No merge swings farther than the deviation that is committed, its rise and ``LARGEST_SWING`` do.
 """
 
 import cmath
@@ -26,6 +27,9 @@ MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle i
 LATER_FROM_S = 0.008  # cycle from which a tool that hangs free is committed for longer [s]
 LATER_CYCLES = 0.5  # by so many cycles
 DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop over tau
+LARGEST_SWING = 0.006  # of a merge beyond its deviation at nc, and that of SWING_S more [m]
+SWING_S = 0.1  # of the deviation's rise there; a merge that swings farther met a corner [s]
+CALM_S = 0.05  # time constant of the merge in its place [s]
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
 
@@ -38,12 +42,17 @@ class MergePlan:
         committed_s: for which the list stands, with the share of step nc + 1 that is kept [s].
         matrices: (6, n - nc, 5 or 6), one merge matrix a column.
         stride: ``spacing`` of the steps that they read.
+        calm: (n - nc, 2), the deviation that begins with 1 at nc, and the one that begins with a
+            rise of 1 a step, both critically damped.
+        swing_steps: ``SWING_S`` in steps.
     """
 
     commit: int
     committed_s: float
     matrices: Array
     stride: int
+    calm: Array
+    swing_steps: float
 
     @property
     def first_free(self) -> int:
@@ -70,7 +79,14 @@ def compile_merge(
         for tau in (settings.along, settings.across)
     )
     matrices = np.stack([along if axis == ALONG else across for axis in range(6)])
-    return MergePlan(commit, (commit + share) * cycle_s, matrices, spacing(cycle_s))
+    return MergePlan(
+        commit,
+        (commit + share) * cycle_s,
+        matrices,
+        spacing(cycle_s),
+        calm_matrix(cycle_s, steps - commit),
+        SWING_S / cycle_s,
+    )
 
 
 def commit_steps(dead_time: float, cycle_s: float) -> tuple[int, float]:
@@ -133,6 +149,17 @@ def merge_matrix(tau: float, cycle_s: float, steps: int, share: float = 0.0) -> 
     spline = make_interp_spline(np.arange(1 - ORDER, len(coarse) + 1), known, k=ORDER)
     rows: Array = spline(np.arange(1, steps + 1) / stride)
     return rows
+
+
+def calm_matrix(cycle_s: float, steps: int) -> Array:
+    """Return (steps, 2): critically damped deviations from a value of 1, and from a rise of 1.
+
+    They read no differences of higher order: whatever is committed, they do not swing.
+    """
+    count = np.arange(1.0, steps + 1)
+    late = count * cycle_s / CALM_S
+    decay = np.exp(-late)
+    return np.column_stack((decay * (1.0 + late), decay * count))
 
 
 def _partly_committed(rows: Array, share: float) -> Array:
@@ -226,5 +253,13 @@ def merge(old: Array, goal: Array, plan: MergePlan) -> Array:
         history = np.concatenate(((old[commit + 2] - goal[commit + 1])[None], history))
     # In order in memory the product costs a quarter less.
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
-    np.add(goal[commit + 1 :], late[:, :, 0].T, out=merged[commit + 1 :])
+    late = late[:, :, 0].T
+    now = merged[commit] - goal[commit]
+    rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
+    known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])
+    if (np.abs(late[:, :3]).max(axis=0) > known + LARGEST_SWING).any():
+        late = plan.calm.dot(np.stack((now, rise)))
+        if matrices.shape[2] > ORDER:
+            late[0] += matrices[0, 0, 0] * (history[0] - late[0])
+    np.add(goal[commit + 1 :], late, out=merged[commit + 1 :])
     return merged

@@ -201,10 +201,11 @@ def _programmed_poses(
     Args:
         limit: task time at which the clock stops [s].
     """
-    times = programme_times(tracker, state, retreat)
-    if times is not None:
-        return tracker.table.between(times)
-    goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
+    times = programme_times(tracker, state)
+    if times is None:
+        goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
+    else:
+        goal, relative = tracker.table.between(times)
     if state.contact and not is_before_contact(state):
         return goal, _pressing_poses(tracker, state, relative)
     return goal, _waiting_poses(state, relative) if retreat else relative

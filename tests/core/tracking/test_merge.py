@@ -18,7 +18,7 @@ CYCLES = (0.012, 0.004)
 COMMIT, STEPS = 5, 41
 
 lists = st.integers(0, 100_000).map(
-    lambda seed: np.cumsum(np.random.default_rng(seed).normal(size=(STEPS + 1, 6)), axis=0)
+    lambda seed: np.cumsum(np.random.default_rng(seed).normal(0.0, 1e-6, (STEPS + 1, 6)), axis=0)
 )
 
 
@@ -33,7 +33,35 @@ MATRICES = matrices()
 
 def merge_once(old: Array, goal: Array, M: Array, commit: int) -> Array:
     """Return the list after one merge by matrices that read every step."""
-    return merge.merge(old, goal, merge.MergePlan(commit, commit * 0.012, M, 1))
+    calm = merge.calm_matrix(0.012, M.shape[1])
+    return merge.merge(old, goal, merge.MergePlan(commit, commit * 0.012, M, 1, calm, 8.0))
+
+
+def farthest_after_a_corner(steps_before_commit: int) -> float:
+    """Return how far [m] a plan swings that stands after it has begun to rise at 2 m/s^2.
+
+    So does the clock of a task that goes on, and stands after all.
+    """
+    plan = merge.compile_merge(MergeSettings(), 0.036, 0.004, 120, later=True)
+    goal, poses = np.zeros((121, 6)), np.zeros((121, 6))
+    late_s = 0.004 * np.maximum(np.arange(121) - (plan.commit - steps_before_commit), 0)
+    poses[:, 2] = late_s**2 - 0.0028
+    farthest = 0.0
+    for _ in range(250):
+        poses = merge.merge(poses, goal, plan)
+        farthest = max(farthest, float(poses[:, 2].max()))
+    assert abs(poses[0, 2]) < 1e-4
+    return farthest
+
+
+@pytest.mark.parametrize("steps_before_commit", range(-1, 8))
+def test_a_corner_that_is_committed_throws_no_plan_far_off_at_4_ms(
+    steps_before_commit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert farthest_after_a_corner(steps_before_commit) < 0.01
+    if steps_before_commit == 0:
+        monkeypatch.setattr(merge, "LARGEST_SWING", np.inf)
+        assert farthest_after_a_corner(steps_before_commit) > 0.03
 
 
 def cubic(t: Array) -> Array:

@@ -48,11 +48,14 @@ def test_a_tool_that_is_to_retreat_does_not_press() -> None:
 
 def test_a_tool_that_may_be_clamped_unfelt_stands_off_by_what_its_mount_bears() -> None:
     relative = np.full((3, 6), 0.001)
-    relative[:, 2] = -0.012, -0.002, 0.0
+    relative[:, 2] = -0.012, -0.011, -0.010
     stood = release.at_stand_off(relative)
-    assert stood[:, 2].tolist() == [-0.003, -0.002, 0.0]
+    # The whole way is moved: a corner in it would be a swing of what is planned from it.
+    assert stood[:, 2] == pytest.approx([-0.005, -0.004, -0.003])
     assert np.delete(stood, 2, axis=1).tolist() == np.delete(relative, 2, axis=1).tolist()
     assert relative[0, 2] == -0.012
+    relative[2, 2] = -0.002
+    assert np.array_equal(release.at_stand_off(relative), relative)
 
 
 def test_a_mean_force_follows_a_pull_and_not_a_tool_that_rings() -> None:

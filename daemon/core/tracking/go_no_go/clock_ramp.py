@@ -67,6 +67,20 @@ def changed(ramp: ClockRamp, now: int, rate: int, delay: int, length: int) -> Cl
     return ClockRamp(rate, tuple(steady + turned))
 
 
+def braked(ramp: ClockRamp, now: float, delay: int, length: int) -> ClockRamp:
+    """Return the ramp of a clock that comes to stand, whatever it had planned.
+
+    Args:
+        now: time of the clock [steps].
+        delay: steps of the plan that are kept, at least 1.
+        length: even number of steps that a stop from a rate of 1 takes.
+    """
+    kept = times_ahead(ramp, now, delay).tolist()
+    rate = kept[-1] - kept[-2]
+    slowing = [kept[-1] + rate * (i - i * i / (2.0 * length)) for i in range(1, length + 1)]
+    return ClockRamp(0, tuple(kept + slowing))
+
+
 def extended(ramp: ClockRamp, low: float, high: float) -> ClockRamp:
     """Return the ramp with the steps that a clock kept between two times does not show.
 

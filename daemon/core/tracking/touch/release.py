@@ -128,7 +128,7 @@ def unloading(
 
 
 def at_stand_off(relative: Array) -> Array:
-    """Return the programmed tcp in the object (m, 6), not farther off than the stand-off.
+    """Return the programmed tcp in the object (m, 6), which ends no farther off than the stand-off.
 
     A tool that was led to the object before it was to retreat may be clamped without having felt
     it: farther away it would tear its mount. It is not led nearer either: it could touch.
@@ -137,5 +137,6 @@ def at_stand_off(relative: Array) -> Array:
         relative: (m, 6) programmed tcp in the object; not written to.
     """
     changed = relative.copy()
-    changed[:, 2] = np.maximum(relative[:, 2], -STAND_OFF)
+    # As a whole: a corner in what is committed would swing the tool into the object.
+    changed[:, 2] += max(0.0, -STAND_OFF - float(relative[-1, 2]))
     return changed

@@ -52,6 +52,22 @@ def test_a_ramp_is_followed_step_by_step() -> None:
     assert ramp == STANDING
 
 
+@pytest.mark.parametrize(("before", "after"), CHANGES)
+@pytest.mark.parametrize("steps", [0, 4, 8, 20])
+def test_a_clock_that_brakes_keeps_what_is_committed_and_comes_to_stand(
+    before: int, after: int, steps: int
+) -> None:
+    ramp, now = clock_ramp.changed(ClockRamp(before), 100, after, 6, 10), 100.0
+    now = float(clock_ramp.times_ahead(ramp, now, 60)[steps])
+    for _ in range(steps):
+        ramp = clock_ramp.advanced(ramp)
+    planned = clock_ramp.times_ahead(ramp, now, 60)
+    times = clock_ramp.times_ahead(clock_ramp.braked(ramp, now, 5, 8), now, 60)
+    assert times[:6] == pytest.approx(planned[:6])
+    assert np.abs(np.diff(times, 2)).max() <= 1.0 / 8 + 2.0 / 10
+    assert (np.diff(times[14:]) == 0.0).all()
+
+
 def test_a_horizon_shorter_than_the_ramp_is_cut() -> None:
     ramp = clock_ramp.changed(RUNNING, 50, -1, 3, 30)
     assert len(clock_ramp.times_ahead(ramp, 50.0, 5)) == 6
