@@ -112,6 +112,10 @@ class RobotLink(DatagramLink):
             if raw is None:
                 return False
             self.counters["received"] += 1
+            if time.monotonic_ns() > until_ns:
+                # The process was stopped as it slept: newer telegrams may wait behind this one.
+                self._read(transport, transport.stamped(raw))
+                return True
             sent = self._send_ready(transport, ready, raw[0], raw[3])
             if not self._answer(transport, transport.stamped(raw), sent):
                 self._read(transport)
@@ -119,8 +123,10 @@ class RobotLink(DatagramLink):
             self._down(describe_error(error))
         return True
 
-    def _read(self, transport: DatagramSocket) -> None:
+    def _read(self, transport: DatagramSocket, first: Datagram | None = None) -> None:
         waiting: dict[Address, deque[Datagram]] = {}
+        if first is not None:
+            self._queue(waiting, first)
         for _ in range(BUDGET):
             datagram = transport.read()
             if datagram is None:

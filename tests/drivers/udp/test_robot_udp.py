@@ -219,6 +219,27 @@ def test_a_telegram_that_nothing_is_ready_for_goes_the_ordinary_way(
     run(main())
 
 
+def test_a_process_that_was_stopped_as_it_slept_answers_the_newest_telegram_alone(
+    controller: socket.socket,
+) -> None:
+    async def main() -> None:
+        ready = _ready(controller, b"of the past")
+        link = RobotLink(_echo, port=0, ready_reply=lambda: ready)
+        link.open()
+        assert link.address is not None
+        for number in (1, 2, 3):
+            controller.sendto(b"%d" % number, link.address)
+        # The time to wait is over, and three telegrams have come in it.
+        assert link.attend(time.monotonic_ns() - 1)
+        assert await _receive(controller) == b"re:3"
+        link.close()
+        assert link.counters["received"] == 3
+        assert link.counters["stale"] == 2
+        assert link.counters["answered"] == 1
+
+    run(main())
+
+
 def test_waiting_for_a_telegram_ends_at_its_time(controller: socket.socket) -> None:
     async def main() -> None:
         link = RobotLink(_echo, port=0)
