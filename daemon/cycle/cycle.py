@@ -31,6 +31,7 @@ from linemate.protocol.controller_link import (
     ControllerError,
     ControllerLink,
     ControllerTelegram,
+    ExchangeRules,
     PreparedReply,
     ReadyReply,
 )
@@ -422,6 +423,11 @@ class Cycle(RestingStepper):
             if decision.missed:
                 session.was_sent = False
         return self._step_answering(ready, stamp_ns, telegram.counter)
+
+    @property
+    def rules(self) -> ExchangeRules:
+        """How the controller's family exchanges setpoints."""
+        return self._link.rules
 
     @property
     def is_unproven(self) -> bool:

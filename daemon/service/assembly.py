@@ -74,7 +74,12 @@ def build_robot(station: LoadedConfig, on_telegram: OnTelegram, cycle: Cycle) ->
             on_start=cycle.restart_exchange,
         )
     return RobotLink(
-        on_telegram, endpoint.bind, endpoint.port, ready_reply=ready_reply, on_open=cycle.listen
+        on_telegram,
+        endpoint.bind,
+        endpoint.port,
+        ready_reply=ready_reply,
+        on_open=cycle.listen,
+        newest_acts=cycle.rules.newest_acts,
     )
 
 

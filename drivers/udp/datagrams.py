@@ -132,6 +132,10 @@ class DatagramSocket:
         except (BlockingIOError, InterruptedError):
             return None
 
+    def has_more(self) -> bool:
+        """Return whether another datagram waits."""
+        return bool(select.select(self._descriptors, (), (), 0.0)[0])
+
     def stamped(self, raw: RawDatagram) -> Datagram:
         """Return a datagram with its arrival; call it soon, for its age is counted from now."""
         data, ancillary, flags, source = raw

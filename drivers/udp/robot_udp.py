@@ -69,14 +69,21 @@ class RobotLink(DatagramLink):
         *,
         ready_reply: Callable[[], ReadyReply | None] = lambda: None,
         on_open: Callable[[int], None] = lambda _: None,
+        newest_acts: bool = False,
         name: str = "robot",
         backoff: Backoff | None = None,
     ) -> None:
+        """Wait for ``open``.
+
+        Args:
+            newest_acts: a late reply acts as well, so no telegram of the past may be answered.
+        """
         super().__init__(name, host, port, backoff)
         self.turnaround_ns: int | None = None
         self._on_telegram = on_telegram
         self._ready_reply = ready_reply
         self._on_open = on_open
+        self._newest_acts = newest_acts
         self._last = b""
         self._sent_ns = 0
         self._sole_sender = SoleSender(SILENCE_S, 1, lambda: self.status.last_sample_stamp_ns)
@@ -112,8 +119,9 @@ class RobotLink(DatagramLink):
             if raw is None:
                 return False
             self.counters["received"] += 1
-            if time.monotonic_ns() > until_ns:
-                # The process was stopped as it slept: newer telegrams may wait behind this one.
+            # The process was stopped as it slept, and its clock perhaps with it: newer telegrams
+            # wait behind this one. A controller that knows late replies refuses one to the past.
+            if time.monotonic_ns() > until_ns or (self._newest_acts and transport.has_more()):
                 self._read(transport, transport.stamped(raw))
                 return True
             sent = self._send_ready(transport, ready, raw[0], raw[3])
