@@ -5,7 +5,8 @@ quadratic regulator. It is of fifth order: servo and elastic mode together need 
 derivative.
 
 Invariants:
-- Committed steps are kept bit for bit. The next step may be committed by a share.
+- Committed steps are kept bit for bit. The next step may be committed by a share, but by a merge
+  that does not swing.
 - Matrices are computed at start-up; a merge is one product.
 - No merge swings farther than the deviation that is committed, its rise and ``LARGEST_SWING`` do.
 """
@@ -236,13 +237,14 @@ def rounded(goal: Array, kernel: Array) -> Array:
     return smooth
 
 
-def merge(old: Array, goal: Array, plan: MergePlan) -> Array:
-    """Return the new list x_t (n+1, d) from the old one and the goal x_f.
+def merge(old: Array, goal: Array, plan: MergePlan, calming: int = 0) -> tuple[Array, int]:
+    """Return the new list x_t (n+1, d) from the old one and the goal x_f, and ``calming``.
 
     Args:
         old: last step's list (n+1, d).
         goal: where the list should be (n+1, d).
         plan: its matrices are of the d columns.
+        calming: merges that do not swing yet to come, until all that is read was made by them.
     """
     commit, stride, matrices = plan.commit, plan.stride, plan.matrices
     merged = np.empty_like(goal)
@@ -258,8 +260,9 @@ def merge(old: Array, goal: Array, plan: MergePlan) -> Array:
     rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
     known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])
     if (np.abs(late[:, :3]).max(axis=0) > known + LARGEST_SWING).any():
+        calming = ORDER * stride + 1
+    if calming:
+        calming -= 1
         late = plan.calm.dot(np.stack((now, rise)))
-        if matrices.shape[2] > ORDER:
-            late[0] += matrices[0, 0, 0] * (history[0] - late[0])
     np.add(goal[commit + 1 :], late, out=merged[commit + 1 :])
-    return merged
+    return merged, calming

@@ -24,7 +24,7 @@ CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 
 def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float:
     """Return the step's time at which the task's clock stops [s]; infinity without a stop."""
-    if retreat and is_before_contact(state):
+    if retreat and is_before_contact(tracker, state):
         return state.time
     closed = barrier(tracker.reference, state.time, state.passed)
     if state.oscillated is not None and not retreat:
@@ -41,7 +41,7 @@ def programme_times(tracker: Tracker, state: TrackerState) -> Array | None:
 
     None for a clock that runs up to its gate.
     """
-    if state.ramp == clock_ramp.RUNNING or not is_before_contact(state):
+    if state.ramp == clock_ramp.RUNNING or not is_before_contact(tracker, state):
         return None
     T0 = tracker.cycle_s
     times = clock_ramp.times_ahead(state.ramp, state.time / T0, tracker.steps)
@@ -66,13 +66,13 @@ def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[fl
     # Counted in steps: a sum of many periods is no multiple of one.
     T0 = tracker.cycle_s
     now, ramp = state.time / T0, state.ramp
-    if retreat and ramp != clock_ramp.RUNNING and is_before_contact(state):
+    if retreat and ramp != clock_ramp.RUNNING and is_before_contact(tracker, state):
         if ramp.rate != 0:
             ramp = _braked_ramp(tracker, ramp, now)
         ramp = clock_ramp.advanced(ramp)
         return (ramp.planned[0] if ramp.planned else now) * T0, ramp
     is_ramped = ramp != clock_ramp.RUNNING or state.go.order is not GoOrder.GO
-    if retreat or not is_ramped or not is_before_contact(state):
+    if retreat or not is_ramped or not is_before_contact(tracker, state):
         if ramp.planned:
             state = replace(state, time=last_step(state.time, T0))
         stand = standing_time(tracker, state, retreat)
@@ -129,14 +129,16 @@ def _speed_near(tracker: Tracker, now: int) -> float:
     return math.sqrt(float((way * way).sum(axis=1).max(initial=0.0))) / T0
 
 
-def is_before_contact(state: TrackerState) -> bool:
+def is_before_contact(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether there was no contact yet: a retreat must not lead the tool there.
 
     A touch that is felt after the clamp was ordered to open is none: the programme stays where it
     is.
     """
     is_late = state.releasing is not None and state.releasing > state.touching
-    return (not state.contact or is_late) and Gate.WHEEL_RELEASED not in state.passed
+    # A clamp that a retreat has opened before is no release by the programme.
+    is_released = Gate.WHEEL_RELEASED in state.passed and state.time >= tracker.search_time
+    return (not state.contact or is_late) and not is_released
 
 
 def advance_clock(

@@ -184,9 +184,9 @@ def track(
         goal = approach.withdraw(goal, WITHDRAW_WAY * s)
     goal = merge.rounded(goal, tracker.corner)
     plan = tracker.merge_plan(in_contact=state.contact)
-    poses = merge.merge(state.poses, goal, plan)
+    poses, calming = merge.merge(state.poses, goal, plan, state.calming)
     state = _advance_axis(tracker, state, view, along)
-    state = replace(state, poses=poses, distance=float(relative[0, 2]))
+    state = replace(state, poses=poses, calming=calming, distance=float(relative[0, 2]))
     free = free_shares(tracker, damping_time(tracker, state), limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, plan.commit)
     outcome = report(tracker, state, view, wrench, rejected, target, part)
@@ -206,9 +206,9 @@ def _programmed_poses(
         goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
     else:
         goal, relative = tracker.table.between(times)
-    if state.contact and not is_before_contact(state):
+    if state.contact and not is_before_contact(tracker, state):
         return goal, _pressing_poses(tracker, state, relative)
-    return goal, _waiting_poses(state, relative) if retreat else relative
+    return goal, _waiting_poses(tracker, state, relative) if retreat else relative
 
 
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
@@ -223,10 +223,10 @@ def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> A
     return release.unloading(relative, since, commanded, state.unloading_s)
 
 
-def _waiting_poses(state: TrackerState, relative: Array) -> Array:
+def _waiting_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool that is to retreat."""
     relative = release.without_press(relative)
-    if state.clamped and is_before_contact(state):
+    if state.clamped and is_before_contact(tracker, state):
         relative = release.at_stand_off(relative)
     return relative
 

@@ -169,6 +169,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         digital_in: of the last telegram; before it all set, so that a bit that is set from the
             beginning has no edge.
         announced_s: time since the line announced a stop [s].
+        calming: steps in which the plan is still merged without swinging, after a corner.
         oscillated: for how long the wheel's release has waited for a calm contact [s]; None if it
             does not wait.
         accelerations: planned along the tool's axis, one a step, newest last [m/s^2].
@@ -230,6 +231,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     acceleration: float = 0.0
     sampled: tuple[float, ...] = ()
     ramp: ClockRamp = RUNNING
+    calming: int = 0
     force_sign: ForceSign = TRUSTED
     bolts: BoltSearch = NO_BOLT_SEARCH
 

@@ -157,7 +157,7 @@ def test_a_plan_stays_on_the_programme_as_the_clock_changes_its_rate(
     for state in states:
         times = task_clock.programme_times(tracker, state)
         goal = tracker.table.between(state.time / cycle_s + ahead if times is None else times)[1]
-        poses = merge.merge(poses, goal, plan)
+        poses, _ = merge.merge(poses, goal, plan)
         off.append(np.abs(poses - goal)[:, 2].max())
     # A ramp that began a step earlier moved the plan by 67 mm at 4 ms.
     assert max(off) < 3e-4
@@ -221,7 +221,7 @@ def test_a_retreat_from_any_step_of_a_ramp_leaves_the_plan_on_the_programme(
     for state in ordered(tracker, first, order, 0.2):
         times = task_clock.programme_times(tracker, state)
         goal = tracker.table.between(state.time / cycle_s + ahead if times is None else times)[1]
-        poses = merge.merge(poses, goal, plan)
+        poses, _ = merge.merge(poses, goal, plan)
         if not state.ramp.planned:
             continue
         retreating, plans = state, poses
@@ -229,11 +229,27 @@ def test_a_retreat_from_any_step_of_a_ramp_leaves_the_plan_on_the_programme(
             retreating = task_clock.advance_clock(tracker, retreating, None, SAMPLES, True)
             times = task_clock.programme_times(tracker, retreating)
             assert times is not None
-            plans = merge.merge(plans, tracker.table.between(times)[1], plan)
+            plans, _ = merge.merge(plans, tracker.table.between(times)[1], plan)
             off.append(np.abs(plans - tracker.table.between(times)[1])[:, 2].max())
         assert retreating.ramp == clock_ramp.STANDING
     # With the ramp cut off the plan swung by 50 mm at 4 ms.
     assert max(off) < 5e-4
+
+
+@pytest.mark.parametrize("cycle_s", [0.004, 0.012])
+def test_a_clamp_that_a_retreat_opened_before_the_contact_does_not_set_the_clock_going(
+    cycle_s: float,
+) -> None:
+    tracker = of_cycle(cycle_s)
+    state = on_the_way(tracker, tracker.search_time - tracker.sight_time - 0.03)
+    state = replace(state, contact=True, releasing=0.3, touching=0.2)
+    state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+    stood = state.time
+    state = replace(state, contact=False, passed=state.passed | {Gate.WHEEL_RELEASED})
+    for _ in range(5):
+        state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+    assert task_clock.is_before_contact(tracker, state)
+    assert state.time == stood
 
 
 def test_a_clock_that_stands_behind_the_last_step_is_still_judged() -> None:
