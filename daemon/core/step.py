@@ -39,6 +39,7 @@ FIX_SCREWS = 1
 RELEASE_WHEEL = 2
 REST_DISTANCE = 0.02  # largest distance from the task's first pose to start [m]
 REST_ANGLE = 0.05  # largest rotation from it [rad]
+NEAR = 0.06  # a tool this near to the object is led like a clamped one [m]
 REST_TOLERANCE = 0.05  # a robot that tracked comes to rest within this distance [m]
 
 
@@ -368,7 +369,7 @@ def finish(
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
     # A clamp may have closed unfelt: it is pulled as one that was felt.
-    clamped = state.tracker.contact or state.tracker.clamped
+    clamped = state.tracker.contact or state.tracker.clamped or state.tracker.distance > -NEAR
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=clamped
     )
