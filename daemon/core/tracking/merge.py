@@ -45,7 +45,7 @@ class MergePlan:
         stride: ``spacing`` of the steps that they read.
         calm: (n - nc, 2), the deviation that begins with 1 at nc, and the one that begins with a
             rise of 1 a step, both critically damped.
-        swing_steps: ``SWING_S`` in steps.
+        swing_steps: ``SWING_S`` in steps of one cycle each.
     """
 
     commit: int
