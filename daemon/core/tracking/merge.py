@@ -256,13 +256,15 @@ def merge(old: Array, goal: Array, plan: MergePlan, calming: int = 0) -> tuple[A
     # In order in memory the product costs a quarter less.
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     late = late[:, :, 0].T
-    now = merged[commit] - goal[commit]
-    rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
-    known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])
-    if (np.abs(late[:, :3]).max(axis=0) > known + LARGEST_SWING).any():
-        calming = ORDER * stride + 1
-    if calming:
-        calming -= 1
-        late = plan.calm.dot(np.stack((now, rise)))
+    swings = np.abs(late[:, :3])
+    if calming or float(swings.max()) > LARGEST_SWING:  # seldom
+        now = merged[commit] - goal[commit]
+        rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
+        known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])
+        if (swings.max(axis=0) > known + LARGEST_SWING).any():
+            calming = ORDER * stride + 1
+        if calming:
+            calming -= 1
+            late = plan.calm.dot(np.stack((now, rise)))
     np.add(goal[commit + 1 :], late, out=merged[commit + 1 :])
     return merged, calming
