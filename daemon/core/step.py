@@ -368,8 +368,9 @@ def finish(
             held=not inputs.sent and inputs.pace is None,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
-    # A clamp may have closed unfelt: it is pulled as one that was felt.
-    clamped = state.tracker.contact or state.tracker.clamped or state.tracker.distance > -NEAR
+    # A clamp may have closed unfelt: it is pulled as one that was felt. The distance is infinite
+    # before a task is tracked.
+    clamped = state.tracker.contact or state.tracker.clamped or abs(state.tracker.distance) < NEAR
     after, held = control.limit_command(
         parameters.controller, desired, delivered.control.limiter, clamped=clamped
     )

@@ -184,6 +184,10 @@ def _link(signals: Signals, evidence: Evidence) -> Explanation:
 def _not_proven(evidence: Evidence) -> str:
     if evidence.facts.wrong_cycle is not None:
         return evidence.facts.wrong_cycle.removesuffix(".")
+    limit_s = 0.5e-9 * watch.largest_leak_ns(evidence.settings, evidence.counts.state)
+    if evidence.facts.unled_s >= limit_s:
+        unled = f"{evidence.facts.unled_s:.3f} s, limit {limit_s:.3f} s"
+        return f"the robot got no setpoint for {unled}"
     good, needed = evidence.counts.good, evidence.settings.healthy_cycles
     return f"robot link not proven: {good} answered cycles in a row, {needed} needed"
 

@@ -233,3 +233,19 @@ def test_a_state_that_does_not_change_says_nothing(app: App) -> None:
     for n in range(20):
         app.cycle.operating.decide(NOW_NS + n * 12 * MS, SensorQueues(), situation, telegram=False)
     assert app.cycle.take_changes() == []
+
+
+def test_a_robot_that_got_no_setpoints_is_the_cause_that_is_named() -> None:
+    evidence = causes.Evidence(
+        watch.Facts(NOW_NS, True, unled_s=0.08),
+        Watch(Link.UNPROVEN, NOW_NS, good=1, state=State.TRACK),
+        WatchSettings(),
+        {},
+        unready=None,
+        following_error=None,
+        overload_n=None,
+        ordered_by={},
+        fault=None,
+    )
+    words, _ = causes._link(Signals(Link.UNPROVEN), evidence)
+    assert words == "the robot got no setpoint for 0.080 s, limit 0.055 s"
