@@ -179,8 +179,23 @@ def exp_many(r: Array) -> Array:
 
 
 def log_many(R: Array) -> Array:
-    """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), angles below pi."""
-    return np.array([log(each) for each in R])
+    """Return rotation vectors (m, 3) of rotation matrices (m, 3, 3), angles below pi.
+
+    As ``log``, bit for bit: the branch of small traces is left to it.
+    """
+    trace = R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2]
+    if not bool((trace > 0.0).all()):
+        return np.array([log(each) for each in R])
+    s = 2.0 * np.sqrt(trace + 1.0)
+    vector = R[:, (2, 0, 1), (1, 2, 0)] - R[:, (1, 2, 0), (2, 0, 1)]
+    vector /= s[:, None]
+    x, y, z = vector.T
+    w, n = 0.25 * s, np.sqrt(x * x + y * y + z * z)
+    # math's arc tangent, for numpy's depends on the processor in its last bit.
+    angles = np.array(list(map(math.atan2, n.tolist(), w.tolist())))
+    small = n < SMALL
+    vector *= np.where(small, 2.0 / w, 2.0 * angles / np.where(small, 1.0, n))[:, None]
+    return vector
 
 
 def exp_quaternion(x: float, y: float, z: float) -> Quaternion:
