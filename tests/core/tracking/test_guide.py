@@ -14,6 +14,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     SWAY,
     BankState,
     V,
+    Y,
 )
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
@@ -206,7 +207,8 @@ def test_a_guide_takes_the_speed_over_once_a_widened_filter_knows_it() -> None:
     assert state.guide is not None
     wide, x = state.P.copy(), state.x.copy()
     wide[V, V], x[V] = 0.05**2, 0.08
-    before = structs.replace(state, guide=structs.replace(state.guide, waits=True))
+    contradicted = structs.replace(state.guide, waits=True, missed=guide.CONTRADICTED)
+    before = structs.replace(state, guide=contradicted)
     waiting = guide.advance(BANK, before, structs.replace(before, P=wide, x=x), (), DT).guide
     assert waiting is not None
     assert waiting.waits
@@ -217,3 +219,28 @@ def test_a_guide_takes_the_speed_over_once_a_widened_filter_knows_it() -> None:
     assert led is not None
     assert not led.waits
     assert led.x[V] == 0.08
+
+
+def test_a_widened_filter_moves_no_guide_that_the_distance_sensor_does_not_contradict() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    wide, x = state.P.copy(), state.x.copy()
+    wide[V, V], x[V] = 1e-6, 0.14
+    before = structs.replace(state, guide=structs.replace(state.guide, waits=True))
+    way = float(state.guide.x[Y]) + SPEED * DT
+    reading = PositionMeasurement(Source.DISTANCE, way, 0.001, 0.00038**2, 4.0)
+    led = guide.advance(BANK, before, structs.replace(before, P=wide, x=x), (reading,), DT).guide
+    assert led is not None
+    assert led.missed == 0
+    assert led.x[V] == pytest.approx(SPEED, abs=0.002)
+
+
+def test_a_guide_counts_readings_of_the_distance_sensor_beyond_its_gate() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    far = float(state.guide.x[Y]) + 0.02
+    for expected in (1, 2):
+        reading = PositionMeasurement(Source.DISTANCE, far, 0.001, 0.00038**2, 4.0)
+        state = guide.advance(BANK, state, state, (reading,), DT)
+        assert state.guide is not None
+        assert state.guide.missed == expected

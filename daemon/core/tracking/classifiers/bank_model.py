@@ -65,7 +65,8 @@ class Guide(Struct, frozen=True, eq=False):
     Attributes:
         x, P, ripple_factor: as of ``BankState``, without an impulse disturbance.
         sways: a sway leads that was known before the contact.
-        waits: the null filter was widened, and does not know the speed again yet.
+        waits: the null filter was widened, and has not led the guide since.
+        missed: readings of the distance sensor beyond the guide's gate in a row.
     """
 
     x: Array
@@ -73,6 +74,7 @@ class Guide(Struct, frozen=True, eq=False):
     ripple_factor: float
     sways: bool = True
     waits: bool = False
+    missed: int = 0
 
 
 class BankState(Struct, frozen=True, eq=False):

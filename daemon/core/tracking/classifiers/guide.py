@@ -9,8 +9,8 @@ Invariants:
 - There is a guide in contact only. On an object that does not give way it follows, but leads no
   target: the null filter does, which may swing with the object as that turns out to give way.
 - It leads on when the force is lost or wrong: what that made of the null filter moves no target.
-- A null filter that was widened moves it only once that knows the speed again. Until then readings
-  of a wrong sensor, which widened it, would lead the target.
+- A null filter that was widened moves it only once that knows the speed again, and the distance
+  sensor contradicts the guide too. A body that swings widens the null filter, which follows it.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
   was known before fades.
@@ -48,6 +48,7 @@ from linemate.daemon.core.tracking.conveyor import (
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
 KNOWN = 0.003  # deviation of a speed that is known again [m/s]
+CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
@@ -76,17 +77,21 @@ def advance(
         return state if state.guide is None else replace(state, guide=None)
     guide = before.guide
     waits = guide is not None and (guide.waits or state.age < before.age)
-    if guide is None or (waits and float(state.P[V, V]) < KNOWN**2):
+    is_wrong = guide is not None and guide.missed >= CONTRADICTED
+    if guide is None or (waits and is_wrong and float(state.P[V, V]) < KNOWN**2):
         return replace(state, guide=synchronised(state))
-    led = _predicted(model, state, guide, dt)
+    led, missed = _predicted(model, state, guide, dt), guide.missed
     for measurement in measurements:
-        led = _corrected(model, led, measurement)
+        corrected = _corrected(model, led, measurement)
+        if measurement.source is Source.DISTANCE:
+            missed = missed + 1 if corrected is led else 0
+        led = corrected
     led_sway = led.x[_SWAY].copy()
     if state.motion is not before.motion:
         led = _in_class(model, state, led)
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
     led = led if sways else _fading(led, led_sway, dt)
-    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits))
+    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits, missed))
 
 
 def led_state(state: BankState) -> BankState:
