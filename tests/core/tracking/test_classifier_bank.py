@@ -391,6 +391,30 @@ def test_a_stop_that_does_not_slow_the_conveyor_is_taken_back() -> None:
     assert state.x[1] + state.x[2] == pytest.approx(NOMINAL, abs=0.002)
 
 
+def test_a_stop_declared_within_a_start_becomes_a_start_again() -> None:
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng, begin, acceleration = np.random.default_rng(3), 2.0, 0.06
+    state, classes = bank.initial(0.0), []
+    for k in range(1, round(4.0 / T0)):
+        late = max(k * T0 - begin, 0.0)
+        way = 0.5 * acceleration * late * late + rng.normal(0.0, DEVIATION)
+        state = bank.advance(
+            state, [PositionMeasurement(Source.DISTANCE, way, 0.0, DEVIATION**2, 4.0)], T0
+        )
+        if abs(late - 0.7) < 0.5 * T0:
+            assert state.motion is Motion.STARTING
+            x, P = state.x.copy(), state.P.copy()
+            x[ACCELERATION], P[ACCELERATION, ACCELERATION] = -0.104, 0.05**2
+            state = structs.replace(state, x=x, P=P, motion=Motion.STOPPING, class_age=0.0)
+        if late > 0.7:
+            classes.append(state.motion)
+        if late > 1.4 and acceleration * late < 0.9 * NOMINAL:
+            assert float(state.x[V]) == pytest.approx(acceleration * late, abs=0.006)
+    assert Motion.STARTING in classes
+    assert Motion.STANDING not in classes
+    assert classes[-1] is Motion.RUNNING
+
+
 @pytest.mark.parametrize("share", [0.75, 1.25])
 def test_a_stop_at_the_edge_of_what_is_known_of_it_is_not_taken_back(share: float) -> None:
     truth = Truth(3.0, ((1.0, -share * STOP),))

@@ -45,6 +45,7 @@ SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
 FADED = 0.3  # share of the nominal deceleration below which it fades
 SLOW_SHARE, LONGEST_STOP = 0.3, 3.0  # of nominal speed and duration; later a slow stop is over
 FAST_SHARE = 0.7  # of the cruising speed, above which a stop may turn out to be none
+STARTED_SHARE = 0.95  # of the cruising speed, below which a conveyor that speeds up still starts
 SLOWEST_STOP = 0.5  # of the nominal deceleration, which every stop exceeds
 
 _FIRST = STATES + 1  # column of J, after P and x, from which on the hypotheses stand
@@ -164,17 +165,23 @@ def reset_ripple(model: BankModel, state: BankState) -> BankState:
 
 
 def _cancel_stop(model: BankModel, state: BankState) -> BankState:
-    """Return the state running again if a stop has turned out not to slow the conveyor.
+    """Return the state without a stop that has turned out not to slow the conveyor.
 
     Without this a wrong stop would last for ever. Its deceleration is soon estimated as zero, and
-    neither a start nor the next stop looks like what can follow it.
+    neither a start nor the next stop looks like what can follow it. One that was declared within a
+    start speeds up: the start goes on.
     """
     slowest = -SLOWEST_STOP * model.conveyor.deceleration
+    acceleration = float(state.x[ACCELERATION])
     sigma = math.sqrt(float(state.P[ACCELERATION, ACCELERATION]))
-    if float(state.x[ACCELERATION]) - 2.0 * sigma <= slowest:
+    if acceleration - 2.0 * sigma <= slowest:
         return state
+    events = (*state.events, ("stop", "cancelled"))
+    if acceleration - 2.0 * sigma > 0.0 and float(state.x[V]) < STARTED_SHARE * state.cruise:
+        resumed = replace(clear_banks(state), motion=Motion.STARTING, class_age=0.0)
+        return replace(resumed, events=events)
     state = enter_class(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)
-    return replace(state, events=(*state.events, ("stop", "cancelled")))
+    return replace(state, events=events)
 
 
 def correct(
