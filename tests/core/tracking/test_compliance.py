@@ -254,3 +254,28 @@ def test_a_force_sensor_that_was_silent_proves_nothing_for_that_time() -> None:
     after = followed(MODEL.dt, 0.0, 0.0, state=silent)
     assert after.firmness.calm_s == pytest.approx(calm.firmness.calm_s + MODEL.dt)
     assert not after.is_firm
+
+
+def bent(peaks: list[float], length_s: float = 0.4) -> Compliance:
+    """The state at the last peak of a force that bends the mount along y, half a sine for each."""
+    state = NO_COMPLIANCE
+    for k in range(round((len(peaks) - 0.5) * length_s / MODEL.dt)):
+        late = k * MODEL.dt / length_s
+        force = peaks[int(late)] * math.sin(math.pi * (late % 1.0))
+        state = compliance.advance(
+            state, MODEL, (0.0, force, 0.0), (0.0, -force / MODEL.stiffness, 0.0), SEATED
+        )
+    return state
+
+
+def test_a_stop_that_bends_the_mount_to_one_side_and_back_is_no_oscillation() -> None:
+    state = bent([-170.0, 200.0])
+    assert math.sqrt(state.power) > 1.2 * compliance.LARGEST_N
+    assert not state.is_softened
+    assert compliance.uncertainty(state, MODEL) == 0.0
+
+
+def test_a_force_that_swings_on_to_and_fro_softens_and_makes_a_deflection_uncertain() -> None:
+    state = bent([-170.0, 200.0, -200.0, 200.0])
+    assert state.is_softened
+    assert compliance.uncertainty(state, MODEL) > 0.001**2

@@ -19,7 +19,8 @@ That is proved on a conveyor at rest alone: a body that nothing excites is calm 
 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
-- A growing oscillation stops it altogether until the oscillation is small again.
+- A growing oscillation stops it altogether until the oscillation is small again. A force that bends
+  the mount to one side, however large, is none.
 - A quick oscillation that grows from second to second is driven by the contact. From then on a
   deflection hardly moves the estimate in this contact, and the offset follows the mean deflection
   alone: a line that is askew still moves it. One that is slow, falls, or grows on nonetheless is
@@ -171,7 +172,8 @@ def advance(
         age += dt
         if age >= GRAIN_S:
             past, age = (*past, power)[-PAST:], 0.0
-        soft = is_growing(power, past, was=state.soft)
+        has_swung = state.soft or firm.has_swung
+        soft = has_swung and is_growing(power, past, was=state.soft)
         is_calm = power < QUIET_N**2
         quick_s = 2.0 * max(model.delays) * model.dt
         firm = firmness.advance(
@@ -294,9 +296,10 @@ def uncertainty(state: Compliance, model: ComplianceModel) -> float:
     """Return the variance that an oscillation adds to a measured deflection [m^2].
 
     The largest of the last seconds: a body that has swung may swing again. Not that of the last two
-    tenths of a second, so that a stop is detected before it counts itself.
+    tenths of a second, so that a stop is detected before it counts itself. None as long as the
+    force has not swung to and fro: a stop that is followed late bends the mount to one side.
     """
-    if len(state.past) < 3:
+    if len(state.past) < 3 or not state.firmness.has_swung:
         return 0.0
     power = max(state.past[:-2])
     return max(power - QUIET_N**2, 0.0) / model.stiffness**2

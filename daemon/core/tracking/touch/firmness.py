@@ -24,6 +24,7 @@ from linemate.protocol.stamped_samples import Vector3
 PROOF_S = 1.0  # for which a calm force proves an object firm [s]
 SWING_N = 8.0  # to each side; the force is noisy by 1.4 N
 TURNS = 4  # changes of side in a row: a bend to one side and back makes two
+SWINGS = 2  # changes of side in a row that a late stop does not make
 LASTING_S = 1.0  # a swing has to the other side for so long: 0.5 Hz [s]
 
 
@@ -53,11 +54,13 @@ class Firmness(Struct, frozen=True):
         is_firm: the object does not give way; None before that is known.
         calm_s: for how long the force has been calm since the tool seated [s].
         swings: of the force along x, y, z of c.
+        has_swung: the force has swung to and fro in this contact, which no single bend does.
     """
 
     is_firm: bool | None = None
     calm_s: float = 0.0
     swings: tuple[Swing, Swing, Swing] = (STILL, STILL, STILL)
+    has_swung: bool = False
 
     @property
     def quick_s(self) -> float:
@@ -90,18 +93,20 @@ def advance(
         _lasting(swing, _swung(swing, f, dt), dt, quick_s)
         for swing, f in zip(state.swings, swung, strict=True)
     )
-    if state.is_firm is False or gives_way or max(x.turns, y.turns, z.turns) >= TURNS:
-        return Firmness(False, 0.0, (x, y, z))
+    turns = max(x.turns, y.turns, z.turns)
+    has_swung = state.has_swung or turns >= SWINGS
+    if state.is_firm is False or gives_way or turns >= TURNS:
+        return Firmness(False, 0.0, (x, y, z), has_swung)
     calm_s = state.calm_s + dt if is_calm else 0.0
     is_firm = True if calm_s >= PROOF_S else state.is_firm
-    return Firmness(is_firm, calm_s, (x, y, z))
+    return Firmness(is_firm, calm_s, (x, y, z), has_swung)
 
 
 def without_proof(state: Firmness) -> Firmness:
     """Return the state of an object that is not proved firm any more; one that gave way stays."""
     if state.is_firm is False:
         return state
-    return Firmness(None, 0.0, state.swings)
+    return Firmness(None, 0.0, state.swings, state.has_swung)
 
 
 def _swung(swing: Swing, force: float, dt: float) -> Swing:
