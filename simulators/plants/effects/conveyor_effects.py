@@ -156,7 +156,7 @@ class ShapedRamps:
         index = self._table[1:, 0].searchsorted(times, side="right")
         onset, position, speed, acceleration, coasting = self._table[index].T
         age, tau = times - onset, self._tau
-        gone = np.where(coasting > 0.0, -np.expm1(-age / tau), 0.0)
+        gone = np.where(coasting > 0.0, -np.expm1(-np.maximum(age, 0.0) / tau), 0.0)
         return (
             self._integrals[index]
             + (position + (speed / 2 + acceleration * age / 6) * age) * age
