@@ -12,6 +12,7 @@ import json
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.worker_pool import progress_bar, spread
-from linemate.simulators.lab.world import world_table
+from linemate.simulators.lab.world import drawn_world, world_table
 from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 
 WORKERS = 2
@@ -80,18 +81,19 @@ def known() -> tuple[str, ...]:
     from linemate.simulators.harness import scenario_file
 
     shipped = scenario_file.shipped()
-    return (*world_rows.rows(), *(name for name in SCENARIOS if name in shipped))
+    floors = (name for name in SCENARIOS if name in shipped)
+    return (*world_rows.rows(), *floors, drawn_world.NAME)
 
 
 def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
-    """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all.
+    """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all but drawn.
 
     Raises:
         SetupError: no such row.
     """
     every = known() if world == OWN else tuple(MUJOCO_ROWS)
     if text is None:
-        return every
+        return tuple(name for name in every if name != drawn_world.NAME)
     names: list[str] = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         begin = name.removesuffix("*")
@@ -106,6 +108,8 @@ def what(name: str) -> str:
     """What a row changes, in one line."""
     if name in MUJOCO_ROWS:
         return MUJOCO_ROWS[name].what
+    if name == drawn_world.NAME:
+        return drawn_world.WHAT
     row = world_rows.rows().get(name)
     return "all effects at once" if row is None else row.what
 
@@ -118,16 +122,34 @@ def prepare(
     kept: Path,
 ) -> list[WorldJob]:
     """Make the jobs of rows and seeds."""
-    listed, sources = world_rows.rows(), digest()
-    by_row = {
-        name: prepared(name, tuple(overrides), cycle_ms)
-        if name in MUJOCO_ROWS
-        else setup.make(
-            world_rows.PREFIX + name if name in listed else name, overrides, cycle_ms=cycle_ms
+    sources = digest()
+
+    @cache
+    def setup_of(name: str, seed: int | None) -> Setup:
+        return _setup(name, overrides, cycle_ms, seed)
+
+    return [
+        WorldJob(
+            name, setup_of(name, seed if name == drawn_world.NAME else None), seed, kept, sources
         )
         for name in names
-    }
-    return [WorldJob(name, by_row[name], seed, kept, sources) for name in names for seed in seeds]
+        for seed in seeds
+    ]
+
+
+def _setup(name: str, overrides: Sequence[str], cycle_ms: float | None, seed: int | None) -> Setup:
+    """Return the runs of a row before their seeds.
+
+    Args:
+        seed: which world is drawn; None for a row that draws none.
+    """
+    if name in MUJOCO_ROWS:
+        return prepared(name, tuple(overrides), cycle_ms)
+    if seed is not None:
+        sets = (*drawn_world.overrides(seed), *overrides)
+        return setup.make(drawn_world.BASE, sets, cycle_ms=cycle_ms)
+    listed = name in world_rows.rows()
+    return setup.make(world_rows.PREFIX + name if listed else name, overrides, cycle_ms=cycle_ms)
 
 
 def measured(job: WorldJob) -> dict[str, Any]:
