@@ -69,7 +69,9 @@ def _parser() -> argparse.ArgumentParser:
         help="of the controller (12; fanuc 8, egm 4)",
     )
     parser.add_argument(
-        "--cell", choices=tuple(dst_plan.FAMILY_CYCLES_MS), help="another family of controllers"
+        "--cell",
+        choices=(*dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS),
+        help="another cell or family of controllers",
     )
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")

@@ -176,11 +176,12 @@ def draw(seed: int, cycle_ms: CycleMs | None = None, cell: str | None = None) ->
 
     Args:
         cycle_ms: None: 12, or the cell's own.
-        cell: one of ``FAMILY_CYCLES_MS``; None draws among those with RSI.
+        cell: one of ``CELLS`` or ``FAMILY_CYCLES_MS``; None draws among those with RSI.
     """
     if cell is not None:
-        plan = _draw(seed, cycle_ms or FAMILY_CYCLES_MS[cell])
-        faults = tuple(f for f in plan.faults if f.kind not in MEANINGLESS[cell])
+        plan = _draw(seed, cycle_ms or FAMILY_CYCLES_MS.get(cell, 12))
+        meaningless = MEANINGLESS.get(cell, frozenset())
+        faults = tuple(f for f in plan.faults if f.kind not in meaningless)
         return replace(plan, cell=cell, faults=faults)
     return _draw(seed, cycle_ms or 12)
 
