@@ -200,8 +200,7 @@ def _position(_: Signals, evidence: Evidence) -> Explanation:
             f"{_heard('camera', evidence)}, {_heard('distance', evidence)}",
             "Check the camera's pose and clock.",
         )
-    in_contact = evidence.counts.state in watch.IN_CONTACT
-    limit = settings.position_in_contact_s if in_contact else settings.position_s
+    limit = watch.largest_position_age(settings, evidence.counts.state, facts)
     if _age_s(facts.position_ns, facts.stamp_ns) <= limit:
         # The newest is young enough, so the older of the two is the trouble.
         limit = settings.one_sensor_s

@@ -44,6 +44,7 @@ class Situation(Struct, frozen=True, eq=False):
         longest_wait_s: that the task allows before contact [s].
         last_approach: the tool has left its last waypoint before contact; the camera, which soon
             sees nothing any more, is not waited for.
+        closing: the tool is so near to its touch that a wait cannot prevent it any more.
         home: why the robot cannot go home from where it is, None if it can.
     """
 
@@ -54,6 +55,7 @@ class Situation(Struct, frozen=True, eq=False):
     sensed: bool
     longest_wait_s: float = math.inf
     last_approach: bool = False
+    closing: bool = False
     home: str | None = "not looked at"
 
 
@@ -260,6 +262,7 @@ class Operating:
             object_left=last.object_left,
             contact=last.contact,
             clamped=last.clamped,
+            closing=situation.closing,
             settling=situation.settling,
             outwaited=situation.longest_wait_s < (last.waited_s or 0.0),
             overdue=last.overdue,

@@ -6,6 +6,7 @@ Invariants:
 - A step that is not read yet is kept, up to ``LONGEST_LOG``; the oldest is dropped.
 """
 
+import math
 from collections import deque
 
 from msgspec import Struct
@@ -414,6 +415,7 @@ class Stepper:
             sensed=settings.merge.blend < PROGRAMMED_S,
             longest_wait_s=self.parameters.tracker.task.guard.wait,
             last_approach=self._in_last_approach,
+            closing=self._is_closing,
             home=self._home_refusal(),
         )
 
@@ -428,6 +430,14 @@ class Stepper:
         """Whether the tool has left the last waypoint from which the camera sees the object."""
         task_time = 0.0 if self.last is None else self.last.outputs.task_time or 0.0
         return task_time > self.parameters.tracker.sight_time
+
+    @property
+    def _is_closing(self) -> bool:
+        """Whether a wait cannot prevent the touch any more, and the tool does not wait."""
+        last, final_time = self.last, self.parameters.tracker.final_time
+        if last is None or not math.isfinite(final_time):
+            return False
+        return last.outputs.waiting is None and (last.outputs.task_time or 0.0) > final_time
 
     def _axes(self, robot: RobotSample) -> Axes:
         """Return a telegram's axes in the controller's order."""

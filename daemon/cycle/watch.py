@@ -38,6 +38,7 @@ class Facts(Struct, frozen=True):
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
         following_error: an axis is beyond the tolerance of its commands.
         clamped: a retreat waits for the clamp to open.
+        closing: the tool is so near to its touch that a wait cannot prevent it any more.
         settling: the robot may still move although it was not sent anywhere yet.
         ready, object_left, contact, overload, outwaited, overdue, done, clear, fault: as in
             ``Signals``, raw.
@@ -62,6 +63,7 @@ class Facts(Struct, frozen=True):
     object_left: bool = False
     contact: bool = False
     clamped: bool = False
+    closing: bool = False
     settling: bool = False
     overload: bool = False
     outwaited: bool = False
@@ -163,6 +165,15 @@ def largest_leak_ns(settings: WatchSettings, state: State) -> int:
     return round(longest_s * 1e9)
 
 
+def largest_position_age(settings: WatchSettings, state: State, facts: Facts) -> float:
+    """Return the age of the newest position beyond which tracking stops [s].
+
+    A tool that touches within 0.3 s goes on by itself: it needs what one in contact needs.
+    """
+    touches = state in IN_CONTACT or facts.closing
+    return settings.position_in_contact_s if touches else settings.position_s
+
+
 def _leaked(watch: Watch, facts: Facts, most_ns: int) -> int:
     """Return the level of the leaky bucket one cycle later, at most ``most_ns`` [ns]."""
     passed_ns = 0 if watch.stamp_ns is None else max(0, facts.stamp_ns - watch.stamp_ns)
@@ -173,7 +184,7 @@ def _leaked(watch: Watch, facts: Facts, most_ns: int) -> int:
 def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     stamp_ns = facts.stamp_ns
     coasting = watch.state in IN_CONTACT
-    oldest_s = settings.position_in_contact_s if coasting else settings.position_s
+    oldest_s = largest_position_age(settings, watch.state, facts)
     both = coasting or facts.slower_ns is None
     both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
     position_fresh = _age_s(facts.position_ns, stamp_ns) <= oldest_s and both

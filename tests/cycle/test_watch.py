@@ -144,6 +144,14 @@ def test_a_position_may_be_older_in_free_space_than_in_contact() -> None:
         assert not run.cycle(position_ns=None).position_fresh
 
 
+def test_a_tool_that_touches_soon_needs_a_position_as_young_as_one_in_contact() -> None:
+    run = Run(State.TRACK)
+    for age_s, fresh in ((0.15, True), (0.17, False)):
+        position_ns = run.now_ns + CYCLE_NS - round(age_s * 1e9)
+        assert run.cycle(position_ns=position_ns, closing=True).position_fresh is fresh
+        assert run.cycle(position_ns=position_ns + CYCLE_NS).position_fresh
+
+
 def test_a_force_is_needed_only_where_there_is_a_sensor() -> None:
     run = Run()
     assert not run.cycle(wrench_ns=None).wrench_fresh

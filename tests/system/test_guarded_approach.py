@@ -67,6 +67,27 @@ def test_a_camera_that_is_covered_before_contact_does_not_end_the_assembly(
     assert lived.force_n < TOUCH_N
 
 
+def both_silent(at_s: float, lasting_s: float) -> tuple[Fault, Fault]:
+    """Return faults in which neither distance nor camera sends anything."""
+    return tuple(Fault(at_s, link, "silence", lasting_s) for link in ("distance", "camera"))
+
+
+def test_a_tool_that_sees_nothing_for_a_moment_waits_and_goes_on() -> None:
+    silence = both_silent(4.9, 0.25)
+    waiting = live(*silence, until_s=6.0)
+    assert (waiting.contact, waiting.state) == ("free", State.TRACK)
+    lived = live(*silence, until_s=11.0)
+    assert lived.collision is None
+    assert (lived.contact, lived.state) == ("clamped", State.CONTACT)
+    assert lived.force_n < TOUCH_N
+
+
+def test_a_tool_that_sees_nothing_just_before_the_touch_does_not_touch() -> None:
+    lived = live(*both_silent(5.45, 1.0), until_s=9.0)
+    assert (lived.collision, lived.contact) == (None, "free")
+    assert lived.because == "retreated with a fault"
+
+
 def test_a_camera_that_stays_covered_holds_the_tool_before_it_touches() -> None:
     lived = live(Fault(3.8, "camera", "silence", 2.0))
     assert (lived.contact, lived.state, lived.because) == ("free", State.HOLD, "no fresh position")

@@ -25,6 +25,7 @@ DECIDED_S = 0.7  # the same if a change of class is the only reason: it is decid
 RELEASE_SHARE = 0.85  # of a limit, below which a waiting tool takes it for met
 LOOK_S = 0.6  # images of the object after a change of class, before the touch [s]
 STEADY_S = 0.25  # time since a change of class, before the touch [s]
+POSITION_S = 0.12  # age of the newest of distance and camera that is normal near the object [s]
 DEVIATIONS = 3.0  # sigmas of the estimate that must be within the tolerance
 LARGEST_NIS = 16.0  # average normalised innovation squared of a camera
 REJECTED = 4  # poses rejected in a row
@@ -53,6 +54,7 @@ class Reason(StrEnum):
     """Why the tool does not go on."""
 
     SIGHT = "sight"
+    POSITION = "position"
     UNCHECKED = "unchecked"
     PREDICTION = "prediction"
     ANGLE = "angle"
@@ -68,6 +70,7 @@ class Reason(StrEnum):
 
 _ALWAYS = frozenset(
     {
+        Reason.POSITION,
         Reason.PREDICTION,
         Reason.ANGLE,
         Reason.DISTANCE,
@@ -93,6 +96,7 @@ COUNTED: dict[Zone, frozenset[Reason]] = {
 
 TODO: dict[Reason, str] = {
     Reason.SIGHT: "Check the camera's view and camera.blind_below.",
+    Reason.POSITION: "Check the distance sensor and the camera.",
     Reason.UNCHECKED: "Wait, or check the camera's rate.",
     Reason.PREDICTION: "Let the object come to rest; identify its swing, the camera and the arm.",
     Reason.ANGLE: "Let the object come to rest; check the camera's mounting.",
@@ -113,6 +117,7 @@ class GoEvidence(Struct, frozen=True):
     Attributes:
         sight_s: age of the camera's last accepted pose; 0 where the camera is blind by its
             configuration [s].
+        position_s: age of the newest of distance and camera [s].
         checked_s: for how long predictions have been compared with images [s].
         prediction: error of past predictions across the tool's axis, the larger lead [m].
         angle: the same of the orientation [rad].
@@ -143,6 +148,7 @@ class GoEvidence(Struct, frozen=True):
     following: float
     tentative: bool
     steady_s: float
+    position_s: float = 0.0
     looked_s: float = math.inf
     turns: bool = False
     jams: bool = False
@@ -228,6 +234,7 @@ def find_reasons(
     place, turn = share * guard.tolerance, share * guard.angle_tolerance
     lacking = (
         (Reason.SIGHT, evidence.sight_s > guard.sight),
+        (Reason.POSITION, evidence.position_s > POSITION_S),
         (Reason.UNCHECKED, evidence.checked_s < guard.checked),
         (Reason.PREDICTION, evidence.prediction > place),
         (Reason.ANGLE, evidence.angle > turn),
@@ -251,6 +258,9 @@ def describe(reason: Reason, evidence: GoEvidence, guard: GuardedApproach) -> st
     place, turn = f"limit {1e3 * guard.tolerance:.1f} mm", f"{1e3 * guard.angle_tolerance:.0f} mrad"
     whats = {
         Reason.SIGHT: f"no camera pose for {evidence.sight_s:.2f} s, limit {guard.sight:.2f} s",
+        Reason.POSITION: (
+            f"neither distance nor camera for {evidence.position_s:.2f} s, limit {POSITION_S:.2f} s"
+        ),
         Reason.UNCHECKED: (
             f"predictions checked for {evidence.checked_s:.1f} s, {guard.checked:.1f} s needed"
         ),

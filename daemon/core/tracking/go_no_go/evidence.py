@@ -139,6 +139,7 @@ def gather(
         following=math.hypot(x, y) + abs(float(target_shift.remaining(state.shift, NOW)[0])),
         tentative=view.tentative and _moves(tracker, view) > tracker.task.guard.tolerance,
         steady_s=state.steady_s,
+        position_s=min(state.blind_s, _pose_age(state, now_ns)),
         looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,
         turns=state.bolts.is_jammed and not state.bolts.is_over,
         jams=state.bolts.is_over,
@@ -198,6 +199,11 @@ def _sight(tracker: Tracker, state: TrackerState, now_ns: int) -> float:
     """Return the age of the camera's last accepted pose [s], 0 where it is blind as configured."""
     if -state.distance < tracker.settings.camera.blind_below:
         return 0.0
+    return _pose_age(state, now_ns)
+
+
+def _pose_age(state: TrackerState, now_ns: int) -> float:
+    """Return the age of the camera's last accepted pose [s]."""
     return math.inf if state.pose_ns is None else (now_ns - state.pose_ns) * 1e-9
 
 

@@ -13,6 +13,7 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     DECIDED_S,
     GO,
     LOOK_S,
+    POSITION_S,
     RELEASE_SHARE,
     TODO,
     GoEvidence,
@@ -44,6 +45,7 @@ GOOD = GoEvidence(
 )
 BAD = {
     Reason.SIGHT: {"sight_s": GUARD.sight + 0.01},
+    Reason.POSITION: {"position_s": POSITION_S + 0.01},
     Reason.UNCHECKED: {"checked_s": GUARD.checked - 0.01},
     Reason.PREDICTION: {"prediction": GUARD.tolerance + 1e-6},
     Reason.ANGLE: {"angle": GUARD.angle_tolerance + 1e-6},

@@ -159,3 +159,15 @@ def test_a_tool_near_the_object_backs_off_if_it_feels_that_nothing_touches(
 ) -> None:
     state = replace(at_rest(tracker, np.zeros(6), 0.0), distance=distance, contact_state=felt)
     assert evidence._may_back(state) is may_back
+
+
+def test_the_newer_of_distance_and_camera_is_the_age_of_the_position(tracker: Tracker) -> None:
+    pose = PoseMeasurement(np.array((2.2, 0.0, 1.1)), np.eye(3), 0.0, np.full(6, 1e-8))
+    state = replace(
+        at_rest(tracker, np.zeros(6), 0.0), transverse=tracker.transverse.initial([pose])
+    )
+    now_ns = 2_000_000_000
+    for pose_ns, blind_s, age_s in ((None, 0.3, 0.3), (now_ns - 100_000_000, 0.3, 0.1)):
+        state = replace(state, pose_ns=pose_ns, blind_s=blind_s)
+        found = evidence.gather(tracker, state, RUNS, now_ns)
+        assert found.position_s == pytest.approx(age_s)
