@@ -46,7 +46,7 @@ from linemate.daemon.core.tracking.touch import (
 from linemate.daemon.core.tracking.touch.bolt_search import BoltSearch
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
-from linemate.protocol.stamped_samples import DistanceSample
+from linemate.protocol.stamped_samples import DistanceSample, Vector3
 
 UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]
 MOTION_NS = 24_000_000  # over which the tcp's speed at an exposure is averaged [ns]
@@ -80,7 +80,7 @@ def estimate(
     state = _accelerated(tracker, state, raw, samples)
     state = _weighed(tracker, state, raw)
     wrench = tare.tared(state.tare, raw, tracker.settings.tactile)
-    pull = release.averaged(state.pull, wrench, tracker.cycle_s) if state.contact else state.pull
+    pull, pull_power = _pulled(tracker, state, wrench)
     state = _with_sign(tracker, state, wrench)
     felt = wrench if is_force_used(tracker, state, wrench) else None
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
@@ -130,12 +130,21 @@ def estimate(
         first_poses=waiting,
         readings=readings,
         pull=pull,
+        pull_power=pull_power,
         pose_ns=pose_ns,
         blind_s=0.0 if samples.distance else state.blind_s + tracker.cycle_s,
         speed=0.0 if view is None else view.speed,
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
+
+
+def _pulled(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> tuple[Vector3, float]:
+    """Return the mean force [N] and its mean square [N^2] on a tool that may be clamped."""
+    if not state.contact and state.releasing is None:
+        return state.pull, state.pull_power
+    pull = release.averaged(state.pull, wrench, tracker.cycle_s)
+    return pull, release.averaged_square(state.pull_power, wrench, tracker.cycle_s)
 
 
 def _announced(tracker: Tracker, state: TrackerState, samples: StepSamples) -> TrackerState:
@@ -441,7 +450,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
 
     A clamp that was ordered to open may be open without reporting it. A tool that hangs free would
     measure the object at its own position, and would follow itself. Soon after a touch the clamp is
-    closed, whatever was ordered.
+    closed, whatever was ordered, unless the tool swung: that may be the touch.
     """
     if (
         not is_seated(tracker, state)
@@ -449,10 +458,17 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
         or state.force_sign.is_suspect
     ):
         return False
-    if state.releasing is None or state.touching < release.PULL_S:
+    if state.releasing is None:
         return state.contact
+    if release.swings(state.pull, state.pull_power):
+        return False
+    return state.contact and (state.touching < release.PULL_S or is_pulling(tracker, state))
+
+
+def is_pulling(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the mean force on the tool is one that only a closed clamp gives."""
     pulling = release.PULLING * tracker.settings.tactile.contact_force
-    return state.contact and math.hypot(*state.pull) > pulling
+    return math.hypot(*state.pull) > pulling
 
 
 def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> TrackerState:

@@ -21,6 +21,7 @@ from linemate.daemon.core.tracking.estimation import (
     elastic,
     estimate,
     felt_part,
+    is_pulling,
     is_seated,
     sagging,
 )
@@ -527,7 +528,7 @@ def update_contact(
     if held or before.stood > 0.0:
         after = replace(after, stood=before.stood + tracker.cycle_s if held else 0.0)
     if before.contact:
-        lost = Gate.WHEEL_RELEASED in after.passed
+        lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
         touching = before.touching + tracker.cycle_s
         return replace(after, contact=not lost, touching=touching, contact_state=contact.NO_CONTACT)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
@@ -582,6 +583,20 @@ def update_contact(
         touched=touched,
         search=search,
         force_sign=sign,
+    )
+
+
+def _holds_nothing(tracker: Tracker, state: TrackerState, report: Report) -> bool:
+    """Return whether a contact was none: the clamp has opened, or closed on nothing."""
+    if state.releasing is None or report.force is None:
+        return False
+    swings = release.swings(state.pull, state.pull_power)
+    return release.holds_nothing(
+        opening=state.releasing,
+        timeout=tracker.task.tool.release_timeout,
+        touching=state.touching,
+        distance=state.distance,
+        pulls=is_pulling(tracker, state) and not swings,
     )
 
 

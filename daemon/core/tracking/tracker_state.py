@@ -145,7 +145,8 @@ class TrackerState(Struct, frozen=True, eq=False):
             offset from the object while the task is started; None if it tracked.
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the classifier starts [m].
-        pull: mean force on the clamped tool [N].
+        pull: mean force on the tool in contact, or since its clamp was ordered to open [N].
+        pull_power: mean square of that force [N^2].
         search: for an object that is farther away than estimated.
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
         blind_s: time since the last reading of the distance sensor [s].
@@ -207,6 +208,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     distance: float = math.inf
     readings: tuple[float, ...] = ()
     pull: Vector3 = (0.0, 0.0, 0.0)
+    pull_power: float = 0.0
     search: guard.ContactSearch = guard.NO_SEARCH
     pose_ns: int | None = None
     blind_s: float = 0.0

@@ -38,6 +38,40 @@ def test_a_clamp_is_overdue_only_if_it_was_felt_and_ordered_to_open() -> None:
     assert not release.is_overdue(5.0, 2.0, contact=False)
 
 
+@pytest.mark.parametrize(
+    ("opening", "touching", "distance", "pulls", "nothing"),
+    [
+        (2.0, 1.9, -0.003, False, True),
+        (1.99, 1.9, -0.003, False, False),
+        (2.0, 2.1, -0.003, False, False),
+        (2.0, 1.9, -0.001, False, False),
+        (2.0, 1.9, -0.003, True, False),
+    ],
+)
+def test_a_touch_felt_in_a_retreat_is_none_if_nothing_pulls_at_a_tool_that_stands_off(
+    opening: float, touching: float, distance: float, pulls: bool, nothing: bool
+) -> None:
+    assert nothing is release.holds_nothing(
+        opening=opening, timeout=2.0, touching=touching, distance=distance, pulls=pulls
+    )
+
+
+@pytest.mark.parametrize(
+    ("mean", "swing", "swings"), [(150.0, 0.0, False), (0.0, 200.0, True), (0.0, 100.0, False)]
+)
+def test_a_free_tool_that_swings_has_a_large_force_and_a_small_mean(
+    mean: float, swing: float, swings: bool
+) -> None:
+    pull, power, found = (0.0, 0.0, 0.0), 0.0, []
+    for k in range(500):
+        force = np.array((mean + swing * np.sin(2.0 * np.pi * 4.0 * 0.004 * k), 0.0, 0.0))
+        wrench = Wrench(force, np.zeros(3), 0, 1)
+        pull = release.averaged(pull, wrench, 0.004)
+        power = release.averaged_square(power, wrench, 0.004)
+        found.append(release.swings(pull, power))
+    assert set(found[100:]) == {swings}
+
+
 def test_a_tool_that_is_to_retreat_does_not_press() -> None:
     relative = np.zeros((3, 6))
     relative[:, 2] = -0.004, 0.0, 0.001

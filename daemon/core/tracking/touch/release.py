@@ -30,6 +30,9 @@ LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
 UNLOADING_S = 0.3
 RETREAT_S = 0.1  # the same in a retreat. A press that went at once swung the tool deeper [s]
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
+SWING_N = 80.0  # rms of a force that may swing a free tool: 1.6 mm on 50 N/mm
+STEADY = 0.35  # share of the mean square that the mean's square has in a closed clamp
+HELD_OFF = 0.002  # so far off the object a closed clamp pulls with more than PULLING [m]
 
 
 def may_be_clamped(
@@ -50,6 +53,23 @@ def may_be_clamped(
     if released or contact:
         return not released
     return distance > -TOUCHING and (opening is None or opening < timeout)
+
+
+def holds_nothing(
+    *, opening: float, timeout: float, touching: float, distance: float, pulls: bool
+) -> bool:
+    """Return whether a touch that was felt after the clamp was ordered to open was none.
+
+    A closed clamp pulls at a tool that stands off. If it does not, it is open or holds nothing.
+
+    Args:
+        opening: time since the clamp was ordered to open [s].
+        timeout: of the opening [s].
+        touching: time since the touch [s].
+        distance: programmed, from the tcp to the object along z [m].
+        pulls: the mean force is one that only a closed clamp gives.
+    """
+    return opening >= timeout and opening > touching and distance < -HELD_OFF and not pulls
 
 
 def is_overdue(opening: float | None, timeout: float, *, contact: bool) -> bool:
@@ -89,6 +109,24 @@ def averaged(pull: Vector3, wrench: Wrench | None, dt: float) -> Vector3:
     gain = 1.0 - math.exp(-dt / PULL_S)
     x, y, z = (mean + gain * (f - mean) for mean, f in zip(pull, wrench.force, strict=True))
     return x, y, z
+
+
+def averaged_square(power: float, wrench: Wrench | None, dt: float) -> float:
+    """Return the mean square of the force on the tool one step later [N^2]."""
+    if wrench is None:
+        return power
+    square = math.hypot(*wrench.force.tolist()) ** 2
+    return power + (1.0 - math.exp(-dt / PULL_S)) * (square - power)
+
+
+def swings(pull: Vector3, power: float) -> bool:
+    """Return whether a force swings a free tool: it is large, and its mean is small.
+
+    Args:
+        pull: mean force on the tool [N].
+        power: mean square of that force [N^2].
+    """
+    return power > SWING_N**2 and math.hypot(*pull) ** 2 < STEADY * power
 
 
 def without_press(relative: Array) -> Array:
