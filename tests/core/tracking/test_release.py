@@ -56,6 +56,12 @@ def test_a_touch_felt_in_a_retreat_is_none_if_nothing_pulls_at_a_tool_that_stand
     )
 
 
+def test_a_clamp_that_was_felt_is_closed_until_it_had_the_time_to_open() -> None:
+    assert release.opens(0.29, 0.5)
+    assert not release.opens(0.31, 0.5)
+    assert not release.opens(0.1, 0.1), "the touch was felt after the order"
+
+
 @pytest.mark.parametrize(
     ("mean", "swing", "swings"), [(150.0, 0.0, False), (0.0, 200.0, True), (0.0, 100.0, False)]
 )

@@ -29,6 +29,7 @@ LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
 # The press goes in this time once the clamp is ordered to open: it needs as long [s].
 UNLOADING_S = 0.3
 RETREAT_S = 0.1  # the same in a retreat. A press that went at once swung the tool deeper [s]
+OPENING_S = 0.3  # a shipped clamp needs so long; a mean shows later whether one is still closed [s]
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 SWING_N = 80.0  # rms of a force that may swing a free tool: 1.6 mm on 50 N/mm
 STEADY = 0.35  # share of the mean square that the mean's square has in a closed clamp
@@ -53,6 +54,16 @@ def may_be_clamped(
     if released or contact:
         return not released
     return distance > -TOUCHING and (opening is None or opening < timeout)
+
+
+def opens(opening: float, touching: float) -> bool:
+    """Return whether a clamp that was felt to close has hardly had the time to open again.
+
+    Args:
+        opening: time since the clamp was ordered to open [s].
+        touching: time since the touch [s].
+    """
+    return opening < min(OPENING_S, touching)
 
 
 def holds_nothing(
