@@ -24,7 +24,7 @@ OnTransition = Callable[[Machine, Signals, Machine], None]
 
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 SETTLING = "the robot has not come to rest yet since its programme began"
-NEAR = frozenset({State.TRACK, State.HOLD})
+NEAR = frozenset({State.TRACK, State.HOLD, State.RETREAT})
 """States in which it matters what a stop would leave between tool and object."""
 
 CHANGES = 64

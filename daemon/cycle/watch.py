@@ -16,6 +16,7 @@ from linemate.daemon.cycle.states import Link, Machine, Signals, State
 OPERATIONS = ("arm", "start", "stop", "retreat", "ack", "home", "follow")
 """An operator's orders, as ``Signals`` has them."""
 
+NEAR_S = 1.0  # after a fault near the object in which the tool is withdrawn by itself [s]
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
 
 
@@ -85,6 +86,8 @@ class Watch(Struct, frozen=True):
         stamp_ns: stamp of the last cycle [ns], or None.
         leak_ns: level of the leaky bucket [ns].
         contact, overload, following_error: cycles in a row that showed it.
+        near: the tool was so near to the object, in motion or as that ended in the present fault,
+            that it has to be withdrawn.
         state: the operating state as last seen.
         since_ns: when it was entered [ns].
     """
@@ -97,6 +100,7 @@ class Watch(Struct, frozen=True):
     contact: int = 0
     overload: int = 0
     following_error: int = 0
+    near: bool = False
     state: State = State.INIT
     since_ns: int = 0
 
@@ -151,9 +155,18 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         contact=watch.contact + 1 if facts.contact else 0,
         overload=watch.overload + 1 if facts.overload else 0,
         following_error=watch.following_error + 1 if facts.following_error else 0,
+        near=_is_near(watch, facts, state, settings),
         state=state,
         since_ns=watch.since_ns if state is watch.state else facts.stamp_ns,
     )
+
+
+def _is_near(watch: Watch, facts: Facts, state: State, settings: WatchSettings) -> bool:
+    """Return whether the tool is near the object, or was as its motion ended in a fault."""
+    if state is State.FAULT:
+        return watch.near and not facts.new_session
+    moves = state in {State.TRACK, State.RETREAT}
+    return moves and facts.gap_m is not None and facts.gap_m < settings.near_m
 
 
 def largest_leak_ns(settings: WatchSettings, state: State) -> int:
@@ -197,6 +210,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     near = facts.gap_m is not None and facts.gap_m < settings.near_m
     # A stop this near to the object would end in contact.
     contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
+    contact = contact or (watch.near and watch.state is State.FAULT)
     return _seen(
         watch.link,
         position_fresh,
@@ -237,9 +251,10 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
     lasted_s = _age_s(watch.since_ns, facts.stamp_ns)
     if watch.state is State.HOLD:
         return lasted_s > settings.longest_hold_s
-    if watch.state is State.FAULT and facts.contact:
-        # A tool may be withdrawn by itself only soon after the fault, and from where it rests.
-        late = lasted_s > settings.longest_retreat_s
+    if watch.state is State.FAULT and (facts.contact or watch.near):
+        # A tool may be withdrawn by itself only soon after the fault, and from where it rests. One
+        # that is not clamped must be gone sooner: someone may come near.
+        late = lasted_s > (settings.longest_retreat_s if facts.contact else NEAR_S)
         return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
     if watch.state is State.HOME:
         return lasted_s > settings.longest_home_s

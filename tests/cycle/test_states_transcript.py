@@ -124,9 +124,9 @@ def _day(settings: WatchSettings, chance: Chance, transcript: Transcript) -> Non
 @pytest.mark.parametrize(
     ("settings", "digest"),
     [
-        (SMALL, "7177cdd8a66c4b2b"),
-        (SHIPPED, "863bbe4823ab3eeb"),
-        (replace(SHIPPED, healthy_cycles=1, leak_s=0.02), "cd74ab59fd812707"),
+        (SMALL, "f2f54619d18f2100"),
+        (SHIPPED, "75eb4ca2a25e1d15"),
+        (replace(SHIPPED, healthy_cycles=1, leak_s=0.02), "43ba2b0235eaf912"),
     ],
     ids=["small", "shipped", "least"],
 )

@@ -283,3 +283,37 @@ def test_a_fault_in_contact_may_be_left_only_soon_and_by_a_robot_that_rests() ->
     assert not run.cycle(contact=False, settling=True).expired
     run.now_ns += round(SETTINGS.longest_retreat_s * 1e9)
     assert run.cycle(contact=True).expired
+
+
+def lost_in_motion(gap_m: float | None, state: State = State.TRACK) -> Run:
+    """Return a run whose link was lost in motion, with a gap to the object."""
+    run = Run(state).healthy()
+    while run.cycle(telegram=False, gap_m=gap_m).link is not Link.LOST:
+        pass
+    run.machine = Machine(State.FAULT, latched=True)
+    run.cycle(telegram=False)
+    return run
+
+
+@pytest.mark.parametrize(("gap_m", "withdrawn"), [(0.029, True), (0.031, False), (None, False)])
+def test_a_tool_whose_link_was_lost_near_the_object_is_withdrawn_once_it_is_back(
+    gap_m: float | None, withdrawn: bool
+) -> None:
+    for state in (State.TRACK, State.RETREAT):
+        signals = lost_in_motion(gap_m, state).cycle()
+        assert (signals.contact, signals.expired) == (withdrawn, False)
+
+
+def test_it_is_not_withdrawn_later_nor_in_a_new_session_nor_before_it_rests() -> None:
+    assert lost_in_motion(0.01).cycle(settling=True).expired
+    assert not lost_in_motion(0.01).cycle(new_session=True).contact
+    late = lost_in_motion(0.01)
+    late.now_ns += 1_000_000_000
+    assert late.cycle().expired
+
+
+def test_a_fault_of_a_robot_that_did_not_track_withdraws_nothing() -> None:
+    run = Run(State.IDLE).healthy()
+    run.cycle(gap_m=0.01)
+    run.machine = Machine(State.FAULT, latched=True)
+    assert not run.cycle().contact
