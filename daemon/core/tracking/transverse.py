@@ -340,7 +340,9 @@ class Transverse:
         beyond = float(ratios[ratios.argmax()]) / (gate * gate)
         nis = state.nis
         if not beyond <= 1.0:
-            enough = MOST_REJECTED if beyond <= JUMP * JUMP else MOST_JUMPS
+            # The gate widens with the time since the last accepted pose: a jump stays one.
+            is_jump = beyond > JUMP * JUMP or state.rejected >= MOST_REJECTED
+            enough = MOST_JUMPS if is_jump else MOST_REJECTED
             if state.rejected + 1 < enough:
                 return replace(state, rejected=state.rejected + 1), False
             P = P.copy()

@@ -22,6 +22,7 @@ from linemate.daemon.core.tracking.transverse import (
     LARGEST_INFLATION,
     LEAST_INFLATION,
     MOST_JUMPS,
+    MOST_REJECTED,
     STATIC,
     TURN,
     Transverse,
@@ -182,6 +183,26 @@ def test_no_real_step_is_locked_out(
     assert taken >= 60 - MOST_JUMPS
     assert np.abs(state.x[:2] - place[[0, 2]]).max() < 0.02 * max(np.abs(jump[0]).max(), 0.01)
     assert off(state, rotation) < 0.05 * max(float(np.linalg.norm(jump[1])), 0.01)
+
+
+def test_a_jump_stays_one_as_the_gate_widens() -> None:
+    state = run(3.0)
+    rotation = rotations.exp(OFF)
+    offs = (0.0005 * k for k in range(1, 40))
+    # The least offset that is beyond the gate is far from being a jump by its size.
+    beyond = next(
+        pose
+        for pose in (
+            seen(PLACE + np.array((0.0, 0.0, off_m)), rotation, 0.0, 0.1) for off_m in offs
+        )
+        if not FILTER.correct(state, pose, GATE)[1]
+    )
+    small = structs.replace(state, rejected=MOST_REJECTED - 1)
+    assert FILTER.correct(small, beyond, GATE)[1]
+    for rejected in range(MOST_REJECTED, MOST_JUMPS - 1):
+        after, is_accepted = FILTER.correct(structs.replace(state, rejected=rejected), beyond, GATE)
+        assert (after.rejected, is_accepted) == (rejected + 1, False)
+    assert FILTER.correct(structs.replace(state, rejected=MOST_JUMPS - 1), beyond, GATE)[1]
 
 
 def scattered(
