@@ -327,7 +327,7 @@ def comply(
     fx, fy, fz = R.dot(wrench.force).tolist()
     x, y, z = off.tolist()
     before, events = state.compliance, () if view is None else view.events
-    if before.press is None:
+    if before.press is None and state.touching < compliance.SEATED_S:
         before = compliance.displaced((x, y, z))
     elif before.is_firm or has_changed_class(events):
         before = compliance.taken_over(before, ALONG)
@@ -480,9 +480,17 @@ def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> 
         return state
     axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
     offset = float(axis @ state.compliance.offset)
-    least = tracker.settings.tactile.contact_force
-    sign = force_sign.advanced(state.force_sign, float(wrench.force[2]), offset, least)
-    return state if sign == state.force_sign else replace(state, force_sign=sign)
+    before, force = state.force_sign, float(wrench.force[2])
+    sign = force_sign.advanced(before, force, offset, tracker.settings.tactile.contact_force)
+    if sign.is_suspect and state.releasing is None and state.touching > force_sign.SEATED_S:
+        sign = force_sign.tested(sign, force, tracker.cycle_s)
+    if sign == before:
+        return state
+    way = sign.way - before.way if sign.is_suspect else 0.0
+    x, y, z = (way * axis).tolist()
+    return replace(
+        state, force_sign=sign, compliance=compliance.shifted(state.compliance, (x, y, z))
+    )
 
 
 def _is_overload(tracker: Tracker, wrench: Wrench | None) -> bool:

@@ -634,12 +634,14 @@ def _without_jumps(
 def _is_face(tracker: Tracker, state: contact.ContactState, across: float) -> bool:
     """Return whether an early touch is the face of an object that is nearer than estimated.
 
+    A face pushes. Bolts that slip into their holes let the bent mount spring: that is a pull.
+
     Args:
         across: force across the tool's axis [N].
     """
     least = guard.face_force(tracker.task.guard, tracker.settings.tactile.stiffness[2], across)
     least = max(least, tracker.vibration.force)
-    return contact.is_contact(state, tracker.vibration, least)
+    return contact.is_push(state, tracker.vibration, least)
 
 
 def _touched_reach(

@@ -15,6 +15,7 @@ from linemate.daemon.core.tracking.touch.contact import (
     assume_touch,
     count_touches,
     is_contact,
+    is_push,
     may_rub,
     record_force,
     tool_vibration,
@@ -283,6 +284,16 @@ def test_a_contact_can_be_asked_for_with_another_least_force(pushed: float, felt
         state = record_force(state, mode, -pushed if k > 58 else 0.0, 0.0, held=False)
     assert is_contact(state, mode)
     assert is_contact(state, mode, 22.0) is felt
+
+
+@pytest.mark.parametrize(("force", "pushes"), [(-40.0, True), (100.0, False)])
+def test_a_pull_is_a_contact_and_no_push(force: float, pushes: bool) -> None:
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.012)
+    state = NO_CONTACT
+    for k in range(60):
+        state = record_force(state, mode, force if k > 58 else 0.0, 0.0, held=False)
+    assert is_contact(state, mode, 22.0)
+    assert is_push(state, mode, 22.0) is pushes
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,15 @@
 """The sign of the force on a clamped tool."""
 
+import math
+
+import pytest
+
 from linemate.daemon.core.tracking.touch import force_sign
 from linemate.daemon.core.tracking.touch.force_sign import TRUSTED, ForceSign
 
 LEAST_N = 15.0
 STIFFNESS = 50e3
+DT = 0.012
 
 
 def pressed(sensed: float, first_m: float, steps: int = 60) -> tuple[ForceSign, float]:
@@ -66,3 +71,52 @@ def test_a_contact_felt_by_a_push_is_not_suspect() -> None:
 def test_a_pull_places_the_object_no_farther_than_the_tool() -> None:
     assert force_sign.nearer(60.0) == -60.0
     assert force_sign.nearer(-20.0) == -20.0
+
+
+def probed(sensed: float, stiffness: float, drift: float = 0.0) -> tuple[ForceSign, float]:
+    """Return the sign after 12 s of a suspect contact, and the largest true force [N].
+
+    Args:
+        sensed: factor of the sensor, -1 for one of the wrong sign, 0 for one that is frozen.
+        stiffness: of mount and object [N/m].
+        drift: of the object away from the tool [m/s].
+    """
+    sign, largest = force_sign.at_touch(25.0, LEAST_N), 0.0
+    for step in range(1000):
+        gap = sensed * 0.0005 - sign.way + drift * step * DT
+        sway = 10.0 * math.sin(2.0 * math.pi * 0.75 * step * DT)
+        force = stiffness * gap + sway
+        sign = force_sign.tested(sign, sensed * force, DT)
+        largest = max(largest, abs(force))
+        if not sign.is_suspect:
+            break
+    return sign, largest
+
+
+@pytest.mark.parametrize("stiffness", [10e3, 50e3])
+@pytest.mark.parametrize("drift", [0.0, 0.0003])
+def test_a_right_force_passes_its_test(stiffness: float, drift: float) -> None:
+    sign, largest = probed(1.0, stiffness, drift)
+    assert sign == TRUSTED
+    assert largest < 110.0
+
+
+@pytest.mark.parametrize("stiffness", [10e3, 50e3])
+@pytest.mark.parametrize("sensed", [-1.0, 0.0])
+def test_a_wrong_or_frozen_force_fails_its_test(sensed: float, stiffness: float) -> None:
+    sign, _ = probed(sensed, stiffness)
+    assert sign.is_suspect
+    assert sign.failed > 0
+
+
+def test_a_target_goes_back_where_the_force_grows() -> None:
+    sign, largest = probed(-1.0, 50e3)
+    assert sign.way < 0.002
+    assert largest < 120.0
+
+
+def test_the_tests_of_a_wrong_force_end() -> None:
+    sign = ForceSign(is_suspect=True, failed=force_sign.TESTS)
+    for _ in range(1000):
+        sign = force_sign.tested(sign, 60.0, DT)
+    assert sign.way == 0.0

@@ -310,6 +310,12 @@ def displaced(way: Vector3) -> Compliance:
     return Compliance(offset=_bounded(way))
 
 
+def shifted(state: Compliance, way: Vector3) -> Compliance:
+    """Return the state with its offset moved on by a way [m]."""
+    x, y, z = (o + w for o, w in zip(state.offset, way, strict=True))
+    return replace(state, offset=_bounded((x, y, z)))
+
+
 def taken_over(state: Compliance, axis: int) -> Compliance:
     """Return the state with no offset along an axis: the feed-forward has taken it over."""
     x, y, z = (0.0 if i == axis else o for i, o in enumerate(state.offset))

@@ -200,6 +200,15 @@ def is_contact(state: ContactState, vibration: ToolVibration, least: float | Non
     return _shows_contact(replace(state, forces=measured), vibration, MEASURED * least)
 
 
+def is_push(state: ContactState, vibration: ToolVibration, least: float) -> bool:
+    """Return whether the force is a contact that pushes the tool back.
+
+    Args:
+        least: what counts as contact [N].
+    """
+    return state.forces[-1] < 0.0 and is_contact(state, vibration, least)
+
+
 def _shows_contact(state: ContactState, vibration: ToolVibration, least: float) -> bool:
     low, high = without_vibration(state, vibration)
     push, pull = remaining(state, vibration)

@@ -5,15 +5,25 @@ advances. With a right sensor the pull falls then. With a sensor of the wrong si
 every advance, and the tool presses deeper into the object.
 
 Invariants:
-- A suspect force moves neither the estimate nor the target: the robot keeps what it has.
+- A suspect force moves neither the estimate nor, but for its test, the target.
 - A contact that was felt by a pull is suspect from its beginning.
 - A pull that does not fall while the target advances is suspect.
 - A push of a contact's force clears it.
+- A suspect force is tested: the target advances slowly, and a right force falls. Then it is
+  cleared. If the force grows, or does not answer, the target goes back.
 """
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 ADVANCE_M = 0.0002  # of the offset in one pull that has to show in the force [m]
+SEATED_S = 0.3  # the clamp has closed, and the tool has seated by then [s]
+TEST_SPEED = 0.002  # of the target in a test: quicker than a line that is askew [m/s]
+TEST_N = 20.0  # change of the mean force that ends a test [N]
+MEAN_S = 0.5  # time constant of that mean: a body in contact sways at 0.5 Hz or more [s]
+LONGEST_M = 0.006  # way of a test: a body on a soft carrier gives way to most of it [m]
+REST_S = 1.0  # before each test [s]
+TESTS = 4  # that may fail
 
 
 class ForceSign(Struct, frozen=True):
@@ -23,11 +33,20 @@ class ForceSign(Struct, frozen=True):
         is_suspect: the force does not measure the object.
         pull: force as the pull began [N]; None while the object does not pull.
         offset: along the tool's axis at that time [m].
+        way: by which the target has advanced in a test of a suspect force [m].
+        is_failed: the force did not answer: the target goes back.
+        mean: force of a suspect contact [N].
+        rest: for how long it has been averaged before the test [s].
     """
 
     is_suspect: bool = False
     pull: float | None = None
     offset: float = 0.0
+    way: float = 0.0
+    is_failed: bool = False
+    mean: float = 0.0
+    rest: float = 0.0
+    failed: int = 0
 
 
 TRUSTED = ForceSign()
@@ -61,6 +80,29 @@ def advanced(sign: ForceSign, force: float, offset: float, least: float) -> Forc
         return ForceSign(pull=force, offset=offset)
     grows = offset - sign.offset > ADVANCE_M and force >= sign.pull
     return ForceSign(is_suspect=grows, pull=sign.pull, offset=sign.offset)
+
+
+def tested(sign: ForceSign, force: float, dt: float) -> ForceSign:
+    """Return the state of a suspect force one step later, with its test.
+
+    Args:
+        force: along the tool's axis, less than 0 if it pushes the tool back [N].
+        dt: length of the step [s].
+    """
+    rest = sign.rest + dt
+    mean = sign.mean + dt / min(rest, MEAN_S) * (force - sign.mean)
+    sign = replace(sign, mean=mean, rest=rest)
+    if sign.is_failed:
+        way = max(sign.way - TEST_SPEED * dt, 0.0)
+        return replace(sign, way=way, is_failed=way > 0.0, rest=0.0)
+    if rest < REST_S or sign.failed >= TESTS:
+        return replace(sign, pull=mean)
+    before, way = sign.pull or 0.0, sign.way + TEST_SPEED * dt
+    if mean < before - TEST_N:
+        return TRUSTED
+    if mean > before + TEST_N or way > LONGEST_M:
+        return replace(sign, is_failed=True, failed=sign.failed + 1)
+    return replace(sign, way=way)
 
 
 def nearer(force: float) -> float:
