@@ -506,6 +506,25 @@ def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
     assert now < (0.8 if touch else 0.9) * before
 
 
+def test_a_large_ripple_far_off_its_frequency_is_found_and_is_no_stop() -> None:
+    """The chain of a plant: 0.2 mm, and 12 % slower than configured."""
+    wide = RippleSettings(spread=0.1, deviation=0.0001, walk=0.00002, pace=0.004)
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), SETTINGS, DEVIATION, ripple=wide)
+    hz, rng, late = 0.88 * bank.ripple.frequency_hz, np.random.default_rng(7), 0
+    truth = Truth(14.0, seed=7)
+    state = bank.initial(float(truth.at(-1.5)))
+    for t in np.arange(-1.5 + T0, 13.8, T0):
+        past = t - 0.001
+        at = float(truth.at(past)) + 0.0002 * math.sin(2.0 * math.pi * hz * past)
+        read = round((at + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0)]
+        state = bank.advance(state, rows, T0)
+        late += t > 4.0 and state.tentative
+    assert bank.ripple_omega(state) == pytest.approx(2.0 * math.pi * hz, rel=0.02)
+    assert float(np.hypot(*state.x[7:9])) == pytest.approx(0.0002, rel=0.5)
+    assert late == 0
+
+
 @pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
 def test_a_ripple_where_none_is_expected_costs_little(touch: bool) -> None:
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
