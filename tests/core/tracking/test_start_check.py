@@ -155,3 +155,19 @@ def test_a_silent_sensor_denies_no_start() -> None:
     check = StartCheck(Motion.STANDING, 0.0, acceleration=START)
     assert start_check.deny(check, NO_READINGS, ONSET, REST, DEVIATION) is None
     assert start_check.deny(None, NO_READINGS, ONSET, REST, DEVIATION) is None
+
+
+@pytest.mark.parametrize("stood", [0.5, np.inf])
+def test_a_true_start_soon_after_a_stop_is_not_denied_by_what_the_stop_moved(stood: float) -> None:
+    check, declared_s = StartCheck(Motion.STANDING, 0.0, acceleration=0.018, stood=stood), 2.0
+    denials = 0
+    for seed in range(20):
+        rng, kept, position, speed = np.random.default_rng(seed), NO_READINGS, 0.0, NOMINAL
+        for k in range(round(declared_s / T0)):
+            left = declared_s - k * T0
+            if left < 0.5 + NOMINAL / STOP:
+                speed = max(speed + T0 * (0.03 if left < 0.4 else -STOP), 0.0)
+            position += speed * T0
+            kept = distance_check.keep(kept, [row(position + rng.normal(0.0, DEVIATION))], T0)
+        denials += start_check.deny(check, kept, 0.4, REST, DEVIATION) is not None
+    assert denials == (20 if stood == np.inf else 0)

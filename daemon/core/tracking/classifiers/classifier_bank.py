@@ -163,6 +163,8 @@ class BankClassifier(BankModel):
             check = replace(check, acceleration=float(state.x[ACCELERATION]))
             if before.motion is Motion.STOPPING:
                 check = replace(check, braking=self._ramp(before), braked=before.class_age)
+            elif before.motion is Motion.STANDING:
+                check = replace(check, stood=before.class_age)
         rejection = start_check.reject(check, self.conveyor, state.cruise, sigma)
         if rejection is None:
             rejection = start_check.deny(

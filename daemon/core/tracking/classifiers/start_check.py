@@ -40,6 +40,7 @@ class StartCheck(Struct, frozen=True, eq=False):
         acceleration: of the start, as it was declared [m/s^2].
         braking: acceleration of the stop before it, 0 after a standstill [m/s^2].
         braked: time since that stop began, at the declaration [s].
+        stood: how long the conveyor had stood at the declaration, infinity after a stop [s].
     """
 
     before: Motion
@@ -49,6 +50,7 @@ class StartCheck(Struct, frozen=True, eq=False):
     acceleration: float = 0.0
     braking: float = 0.0
     braked: float = 0.0
+    stood: float = math.inf
 
 
 class StartRejection(Struct, frozen=True):
@@ -109,6 +111,8 @@ def deny(
     if check is None or not check.acceleration or onset > OLDEST_S:
         return None
     ramp = Ramp(check.braked + check.age, check.braking) if check.braking else None
+    # What the stop before a short standstill moved is no evidence against the start.
+    readings = distance_check.since(readings, check.stood + check.age)
     change = LEAST_SHARE * check.acceleration - check.braking
     odds = distance_check.log_odds(readings, onset, change, rest_deviation, deviation, ramp)
     if odds is None or odds > DENIED:
