@@ -462,7 +462,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
         return state.contact
     if release.swings(state.pull, state.pull_power):
         return False
-    # The task's own release needs no such care: the tool stands by the object.
+    # In the task's own release the tool stands at the object: a mean is early enough there.
     is_closed = state.clamped and release.opens(state.releasing, state.touching)
     is_closed = is_closed or state.touching < release.PULL_S
     return state.contact and (is_closed or is_pulling(tracker, state))

@@ -178,8 +178,8 @@ def _cancel_stop(model: BankModel, state: BankState) -> BankState:
         return state
     events = (*state.events, ("stop", "cancelled"))
     if acceleration - 2.0 * sigma > 0.0 and float(state.x[V]) < STARTED_SHARE * state.cruise:
-        resumed = replace(clear_banks(state), motion=Motion.STARTING, class_age=0.0)
-        return replace(resumed, events=events)
+        started = clear_banks(state)
+        return replace(started, motion=Motion.STARTING, class_age=0.0, events=events)
     state = enter_class(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)
     return replace(state, events=events)
 

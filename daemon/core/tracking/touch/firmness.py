@@ -24,7 +24,7 @@ from linemate.protocol.stamped_samples import Vector3
 PROOF_S = 1.0  # for which a calm force proves an object firm [s]
 SWING_N = 8.0  # to each side; the force is noisy by 1.4 N
 TURNS = 4  # changes of side in a row: a bend to one side and back makes two
-SWINGS = 2  # changes of side in a row that a late stop does not make
+SWINGS = 2  # changes of side in a row of a swing; a late stop makes one while it bends the mount
 LASTING_S = 1.0  # a swing has to the other side for so long: 0.5 Hz [s]
 
 
@@ -54,7 +54,7 @@ class Firmness(Struct, frozen=True):
         is_firm: the object does not give way; None before that is known.
         calm_s: for how long the force has been calm since the tool seated [s].
         swings: of the force along x, y, z of c.
-        has_swung: the force has swung to and fro in this contact, which no single bend does.
+        has_swung: the force has changed its side ``SWINGS`` times in a row in this contact.
     """
 
     is_firm: bool | None = None

@@ -31,12 +31,13 @@ class ForceSign(Struct, frozen=True):
 
     Attributes:
         is_suspect: the force does not measure the object.
-        pull: force as the pull began [N]; None while the object does not pull.
+        pull: force as the pull or its test began [N]; None while the object does not pull.
         offset: along the tool's axis at that time [m].
         way: by which the target has advanced in a test of a suspect force [m].
         is_failed: the force did not answer: the target goes back.
         mean: force of a suspect contact [N].
         rest: for how long it has been averaged before the test [s].
+        failed: number of tests that failed.
     """
 
     is_suspect: bool = False
