@@ -11,19 +11,25 @@ Invariants:
 
 import json
 import math
+from functools import cache
 from random import Random
 from typing import Any
+
+from linemate.simulators.harness import setup
+from linemate.simulators.plants.scenario import Scenario
 
 NAME = "drawn"
 WHAT = "the plant floor with sizes, stops and bodies drawn by the seed"
 BASE = "plant-floor"
 DURATION_S = 45.0  # long enough to wait for a line that stops three times [s]
 
-_WINDUP = (2e-4, 2e-4, 2e-4, 5e-5, 5e-5, 5e-5)  # of the plant floor [rad]
-_LOST_MOTION = (2e-5, 2e-5, 2e-5, 4e-5, 4e-5, 4e-5)  # of the plant floor [rad]
-_FRICTION = (*(6e-5,) * 6, 2e-5)  # of the plant floor [rad], [m]
-_STIFFNESS = (50e3, 50e3, 50e3, 2e3, 2e3, 2e3)  # as stated [N/m], [Nm/rad]
 _ALONG, _ACROSS = (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)  # directions of a body's modes, in c
+
+
+@cache
+def _floor() -> Scenario:
+    """Return the plant floor, of whose sizes shares are drawn."""
+    return setup.make(BASE).scenario
 
 
 def overrides(seed: int) -> tuple[str, ...]:
@@ -55,15 +61,16 @@ def _times(sizes: tuple[float, ...], share: float) -> list[float]:
 
 
 def _robot(random: Random) -> dict[str, Any]:
+    effects = _floor().robot.effects
     return {
-        "robot.effects.windup.depth": _times(_WINDUP, _share(random)),
-        "robot.effects.lost_motion": _times(_LOST_MOTION, _share(random)),
-        "robot.effects.friction.coulomb": _times(_FRICTION, _share(random)),
+        "robot.effects.windup.depth": _times(effects.windup.depth, _share(random)),
+        "robot.effects.lost_motion": _times(effects.lost_motion, _share(random)),
+        "robot.effects.friction.coulomb": _times(effects.friction.coulomb, _share(random)),
     }
 
 
 def _conveyor(random: Random) -> dict[str, Any]:
-    events, t = [], random.uniform(2.5, 13.0)
+    effects, events, t = _floor().conveyor.effects, [], random.uniform(2.5, 13.0)
     for _ in range(random.choice((0, 1, 1, 2, 2, 3))):
         deceleration, stood_s = _even(random, 0.07, 0.2), random.uniform(1.0, 5.0)
         events.append({"kind": "stop", "onset_s": t, "acceleration": deceleration})
@@ -72,12 +79,12 @@ def _conveyor(random: Random) -> dict[str, Any]:
         t += stood_s + ran_s
     return {
         "conveyor.effects.askew": [random.uniform(-3e-3, 3e-3), random.uniform(-1.5e-3, 1.5e-3)],
-        "conveyor.effects.sag": 1e-3 * _share(random),
+        "conveyor.effects.sag": effects.sag * _share(random),
         "conveyor.effects.ramp_s": random.uniform(0.0, 0.2),
         "conveyor.effects.coast_s": random.uniform(0.0, 0.2),
-        "conveyor.effects.stick_slip": 0.2e-3 * _share(random),
+        "conveyor.effects.stick_slip": effects.stick_slip * _share(random),
         "conveyor.effects.teeth": random.choice((0, 8, 10, 12, 16)),
-        "conveyor.effects.creep_speed": 0.05e-3 * _share(random),
+        "conveyor.effects.creep_speed": effects.creep_speed * _share(random),
         "conveyor.events": events,
     }
 
@@ -99,7 +106,7 @@ def _carrier(random: Random) -> list[dict[str, Any]]:
 
 def _contact(random: Random) -> dict[str, Any]:
     return {
-        "effector.stiffness": _times(_STIFFNESS, random.uniform(0.8, 1.2)),
+        "effector.stiffness": _times(_floor().effector.stiffness, random.uniform(0.8, 1.2)),
         "effector.load.wheel_mass": random.uniform(14.0, 28.0),
         "contact.mating.friction": random.uniform(0.05, 0.35),
         "contact.mating.angle_range": random.uniform(0.0, 0.0175),
@@ -113,7 +120,7 @@ def _sensors(random: Random) -> dict[str, Any]:
     return {
         "distance.delay_s": random.uniform(0.001, 0.01),
         "distance.effects.slip": random.uniform(0.0, 0.003),
-        "distance.effects.drift": 0.1e-3 * _share(random),
+        "distance.effects.drift": _floor().distance.effects.drift * _share(random),
         "camera.blind_below": random.uniform(0.03, 0.06),
         "camera.dropout_rate": random.choice((0.0, random.uniform(0.0, 0.3))),
         "camera.effects.depth_bias": random.uniform(0.0, 3e-3),
