@@ -38,7 +38,6 @@ from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import (
     bolt_search,
     compliance,
-    contact,
     force_sign,
     release,
     tare,
@@ -171,7 +170,7 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         delay = tracker.compliance.delays[0] * tracker.cycle_s
         later = tare.unloaded(state.tare, tracker.cycle_s, delay)
         return state if later is state.tare else replace(state, tare=later)
-    near = contact.reach(tracker.task.guard.clearance)
+    near = tare.frozen_within(tracker.task.guard.clearance, tracker.settings.payload.bolts)
     is_free = state.started and not state.contact and -math.inf < state.distance < -near
     if raw is None or not is_free or state.withdrawn is not None or state.stood > 0.0:
         return state

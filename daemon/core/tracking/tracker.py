@@ -244,13 +244,15 @@ def _searching_bolts(tracker: Tracker, state: TrackerState, wrench: Wrench | Non
     payload = tracker.settings.payload
     if payload.bolts <= 0.0 or state.contact or state.withdrawn is not None:
         return state
-    overload = tracker.settings.tactile.overload_force
-    jams = wrench is not None and bolt_search.is_jammed(
-        wrench.force.tolist(), payload.bolts, state.distance, overload
-    )
+    mount, bolts, jams = tracker.settings.tactile, state.bolts, False
+    if wrench is not None:
+        where = wrench.force.tolist(), payload.bolts, state.distance
+        jams = bolt_search.is_jammed(*where, mount.overload_force)
+        presses = bolt_search.is_pressed(*where, mount.contact_force)
+        bolts = bolt_search.pressing(bolts, tracker.cycle_s, presses=presses)
     is_back = state.time <= tracker.sight_time
     bolts = bolt_search.advanced(
-        state.bolts, payload.bolt_angle, tracker.cycle_s, jams=jams, is_back=is_back
+        bolts, payload.bolt_angle, tracker.cycle_s, jams=jams, is_back=is_back
     )
     return state if bolts is state.bolts else replace(state, bolts=bolts)
 

@@ -6,6 +6,7 @@ import pytest
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.touch import bolt_search
 from linemate.daemon.core.tracking.touch.bolt_search import (
+    LASTING_S,
     NO_BOLT_SEARCH,
     TURN_S,
     TURNS,
@@ -32,6 +33,42 @@ def test_a_force_along_the_axis_alone_at_the_tips_is_a_jam(
 ) -> None:
     assert bolt_search.is_jammed(force, LENGTH, distance, OVERLOAD) is jams
     assert not bolt_search.is_jammed(force, 0.0, distance, OVERLOAD)
+
+
+@pytest.mark.parametrize(
+    ("force", "distance", "presses"),
+    [
+        ((30.0, 0.0, -30.0), -0.022, True),
+        ((60.0, 0.0, -20.0), -0.022, False),  # bolts that rub in their holes
+        ((0.0, 0.0, -14.0), -0.022, False),
+        ((0.0, 0.0, 90.0), -0.022, False),
+        ((0.0, 0.0, -30.0), -0.002, False),  # the face
+    ],
+)
+def test_tips_press_by_more_than_bolts_rub_in_their_holes(
+    force: tuple[float, float, float], distance: float, presses: bool
+) -> None:
+    assert bolt_search.is_pressed(force, LENGTH, distance, 15.0) is presses
+
+
+def pressed(seconds: float) -> BoltSearch:
+    search = NO_BOLT_SEARCH
+    for _ in range(round(seconds / DT)):
+        search = bolt_search.pressing(search, DT, presses=True)
+        search = bolt_search.advanced(search, SPREAD, DT, jams=False, is_back=False)
+    return search
+
+
+def test_a_force_at_the_tips_that_lasts_is_a_jam_however_small() -> None:
+    assert not pressed(0.8 * LASTING_S).is_jammed
+    assert pressed(1.2 * LASTING_S).is_jammed
+
+
+def test_tips_that_slip_in_have_not_pressed_after_as_long() -> None:
+    search = pressed(0.8 * LASTING_S)
+    for _ in range(round(LASTING_S / DT)):
+        search = bolt_search.pressing(search, DT, presses=False)
+    assert search == NO_BOLT_SEARCH
 
 
 def stepped(search: BoltSearch, seconds: float, *, is_back: bool = True) -> BoltSearch:

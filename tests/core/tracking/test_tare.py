@@ -156,3 +156,8 @@ def test_a_small_weight_stays_on_the_mount_and_a_released_one_goes_on_from_there
     assert off.sag is not None
     step = state.share * state.sag - off.share * off.sag
     assert float(np.abs(step).max()) < 0.05 * tare.LARGEST_SPRING
+
+
+def test_the_tare_is_frozen_before_the_tips_of_bolts_can_touch() -> None:
+    assert tare.frozen_within(0.012, 0.025) == pytest.approx(0.030)
+    assert tare.frozen_within(0.012, 0.0) == pytest.approx(0.015)

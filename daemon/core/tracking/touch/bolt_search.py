@@ -7,6 +7,7 @@ backs off, turns about its axis, and comes again.
 Invariants:
 - The tool turns at the far gate alone, and stays turned until the task is over.
 - A chamfer that draws the bolts in pushes aside as hard as it pushes back: that is no jam.
+- A force that lasts is one, however small: the tips push an object on a soft carrier away.
 - After the last angle the tool waits before contact: pressing on would drive the object away.
 """
 
@@ -27,6 +28,8 @@ LAST = len(TURNS) - 1
 JAMMED_SHARE = 0.17  # of the overload, as force along the axis; the tool moves on for 0.2 s
 SURE_SHARE = 0.3  # more than a chamfer gives to a tool 1.5 mm off it
 ASIDE = 0.5  # share of it across the axis: less is friction, more is a chamfer
+RUBS = 0.35  # share of the force across that bolts in their holes give along the axis
+LASTING_S = 0.3  # for which more than that is a jam; a chamfer is passed in less than 0.1 s [s]
 DEEPEST = 0.4  # share of the bolts' length from the face, within which a force may be the face's
 TURN_S = 1.0  # time of a turn [s]
 
@@ -40,6 +43,7 @@ class BoltSearch(Struct, frozen=True):
         before: angle of the tool before the last turn [rad].
         angle: to which it turns, about its axis [rad].
         turning: time since that turn began [s].
+        pressed_s: for how long the tips have pressed, less the time for which they have not [s].
     """
 
     tried: int = 0
@@ -47,6 +51,7 @@ class BoltSearch(Struct, frozen=True):
     before: float = 0.0
     angle: float = 0.0
     turning: float = TURN_S
+    pressed_s: float = 0.0
 
     @property
     def is_over(self) -> bool:
@@ -55,6 +60,27 @@ class BoltSearch(Struct, frozen=True):
 
 
 NO_BOLT_SEARCH = BoltSearch()
+
+
+def is_at_tips(length: float, distance: float) -> bool:
+    """Return whether the tips of the bolts may touch, and the face does not.
+
+    Args:
+        length: of the bolts from the face [m]; 0 for none.
+        distance: programmed, from the tcp to the object along its z [m].
+    """
+    return -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE)
+
+
+def is_pressed(force: Sequence[float], length: float, distance: float, least: float) -> bool:
+    """Return whether the tips of the bolts press on the object by more than they rub in holes.
+
+    Args:
+        force: of the contact on the tool, in its axes [N].
+        least: force of a contact [N].
+    """
+    x, y, z = force
+    return is_at_tips(length, distance) and z < -least - RUBS * math.hypot(x, y)
 
 
 def is_jammed(force: Sequence[float], length: float, distance: float, overload: float) -> bool:
@@ -66,12 +92,22 @@ def is_jammed(force: Sequence[float], length: float, distance: float, overload: 
         distance: programmed, from the tcp to the object along its z [m].
         overload: limit of the force on the tool [N].
     """
-    if not -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE):
+    if not is_at_tips(length, distance):
         return False
     x, y, z = force
     if z < -SURE_SHARE * overload:
         return True
     return z < -JAMMED_SHARE * overload and math.hypot(x, y) < -ASIDE * z
+
+
+def pressing(search: BoltSearch, dt: float, *, presses: bool) -> BoltSearch:
+    """Return the search with the time for which the tips have pressed.
+
+    Args:
+        presses: they press by more than they rub in holes.
+    """
+    pressed_s = max(search.pressed_s + (dt if presses else -dt), 0.0)
+    return search if pressed_s == search.pressed_s else replace(search, pressed_s=pressed_s)
 
 
 def advanced(
@@ -84,9 +120,10 @@ def advanced(
         jams: the tips rest between their holes.
         is_back: the tool is at the far gate.
     """
-    if jams and not search.is_jammed:
+    if not search.is_jammed and (jams or search.pressed_s > LASTING_S):
         # Without other angles the search is over.
-        return replace(search, is_jammed=True, tried=search.tried if spread > 0.0 else LAST)
+        tried = search.tried if spread > 0.0 else LAST
+        return replace(search, is_jammed=True, tried=tried, pressed_s=0.0)
     if search.turning < TURN_S:
         turning = search.turning + dt
         return replace(search, turning=turning, is_jammed=turning < TURN_S)

@@ -24,6 +24,8 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.approach import smoothstep_at
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
+from linemate.daemon.core.tracking.touch import contact
+from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
 from linemate.protocol.stamped_samples import Vector3
 
 GRAVITY = 9.80665  # [m/s^2]
@@ -61,6 +63,18 @@ class Tare(Struct, frozen=True, eq=False):
 
 
 NO_TARE = Tare()
+
+
+def frozen_within(clearance: float, bolts: float) -> float:
+    """Return the distance before the object from which the tare is frozen [m].
+
+    A tare that goes on there takes off the force with which the bolts' tips press on the object.
+
+    Args:
+        clearance: of the guarded approach [m].
+        bolts: their length from the face [m]; 0 for none.
+    """
+    return max(contact.reach(clearance), bolts + TIPS_RESERVE)
 
 
 def updated(
