@@ -340,6 +340,10 @@ class Cycle(RestingStepper):
             self.operating.has_resynchronised |= opens
             if session.step is not None and self.exchange.state is not ExchangeState.RUNNING:
                 self.exchange.resume(session.step)
+            if opens:
+                # The object went on in cycles that the clock has not counted.
+                stood = round(session.stalled_s / self.parameters.cycle_s)
+                decision = self.decision = replace(decision, steps=decision.steps + stood)
         return decision
 
     def _without_jump(self, robot: RobotSample, decision: TelegramDecision) -> TelegramDecision:

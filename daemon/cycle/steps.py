@@ -27,7 +27,7 @@ from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
-from linemate.daemon.cycle.sensing.samples import DrainedSamples, SensorQueues
+from linemate.daemon.cycle.sensing.samples import NO_SAMPLES, DrainedSamples, SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
 from linemate.daemon.cycle.states import Machine, State
@@ -316,11 +316,19 @@ class Stepper:
         period = round(self.parameters.cycle_s * 1e9)
         limit = max(1, round(CATCH_UP_S / self.parameters.cycle_s))
         for back in range(min(steps, limit) - 1, 0, -1):
-            self._step_unsent(self._opened(), stamp_ns - back * period)
+            due_ns, last_ns = stamp_ns - back * period, self._stamp_ns
+            # A clock that stood dates no sample in the cycles that it has not counted.
+            self._step_unsent(self._opened(), max(due_ns, last_ns), is_dated=due_ns > last_ns)
 
-    def _step_unsent(self, state: stepping.StepState, stamp_ns: int) -> None:
-        """Make the step of a cycle that gets no corrections."""
-        self._add(*self._step(state, stamp_ns, telegram=False))
+    def _step_unsent(
+        self, state: stepping.StepState, stamp_ns: int, *, is_dated: bool = True
+    ) -> None:
+        """Make the step of a cycle that gets no corrections.
+
+        Args:
+            is_dated: the clock has counted the cycle.
+        """
+        self._add(*self._step(state, stamp_ns, telegram=False, is_dated=is_dated))
         self.session.was_sent = False
 
     def _add_unsent(self, ready: PreparedStep) -> None:
@@ -336,9 +344,10 @@ class Stepper:
         telegram: bool,
         answering: bool = False,
         counter: int | None = None,
+        is_dated: bool = True,
     ) -> tuple[LogEntry, stepping.StepPlan]:
         """Make one sampling step: operating state first, then the pure step."""
-        samples = self._drain_samples(state)
+        samples = self._drain_samples(state) if is_dated else NO_SAMPLES
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
             state = self._opened()

@@ -152,6 +152,29 @@ def test_a_flipped_counter_leaves_as_many_steps_as_cycles_have_passed(
     assert [entry.inputs.k for entry in station.cycle.take_log()] == [*range(20, 22 + ahead)]
 
 
+def test_cycles_in_which_the_clock_stood_are_stepped_through_without_samples(
+    station: Station,
+) -> None:
+    station.run(20)
+    station.cycle.take_log()
+    stood, refused = 6, 2
+    station.ipoc += stood * station.step
+    for _ in range(refused):
+        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None
+        station.feed()
+        station.cycle.on_missing(station.stamp_ns)
+        station.next()
+    station.delay += stood + refused
+    station.exchange()
+    log = station.cycle.take_log()
+    assert [entry.inputs.k for entry in log] == list(range(20, 21 + refused + stood))
+    assert [bool(entry.inputs.distance) for entry in log] == [
+        *[True] * refused,
+        *[False] * stood,
+        True,
+    ]
+
+
 def test_a_long_gap_is_caught_up_with_in_bounded_time(station: Station) -> None:
     station.run(20)
     station.cycle.take_log()

@@ -107,6 +107,9 @@ class DrainedSamples(Struct, frozen=True):
     wrench: tuple[WrenchSample, ...]
 
 
+NO_SAMPLES = DrainedSamples((), (), ())
+
+
 class SensorQueues:
     """The queues of the three sensors.
 
