@@ -28,6 +28,7 @@ from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSetti
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
 from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted, slowed
+from linemate.daemon.core.tracking.touch.withdrawal import compile_withdrawal
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.daemon.core.wrench_frame import WrenchFrame
@@ -203,6 +204,7 @@ def _tracker(
         search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
         press=reference.press,
         damped_until=damped_until(reference, blend),
+        withdrawal=compile_withdrawal(controller.tcp_limit.free, task.conveyor.nominal_speed),
     )
 
 

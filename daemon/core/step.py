@@ -551,5 +551,6 @@ def _is_finished(state: StepState, report: tracker_state.Report, parameters: Par
     if state.follow is not None:
         return followed_poses.is_over(state.follow, parameters.cycle_s)
     withdrawn = state.tracker.withdrawn
-    is_withdrawn = withdrawn is not None and withdrawn > 1.2 * tracking.WITHDRAW_S
+    lasting = 1.2 * parameters.tracker.withdrawal.duration
+    is_withdrawn = withdrawn is not None and withdrawn > lasting
     return report.phase is Phase.DONE or is_withdrawn

@@ -504,7 +504,10 @@ def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() ->
     assert not world.outputs.contact
 
 
-@pytest.mark.parametrize(("withdrawn", "is_on_it"), [(None, True), (0.3, True), (0.61, False)])
+@pytest.mark.parametrize(
+    ("withdrawn", "is_on_it"),
+    [(None, True), (0.3, True), (P.tracker.withdrawal.duration + 0.01, False)],
+)
 def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
     withdrawn: float | None, *, is_on_it: bool
 ) -> None:

@@ -17,7 +17,7 @@ def silent(at_s: float, *links: str) -> tuple[Fault, ...]:
 
 @pytest.mark.parametrize("release_s", [0.1, 0.3, 1.0])
 def test_a_retreat_without_force_waits_until_the_clamp_is_open(release_s: float) -> None:
-    lived = live(*silent(7.0, "force_torque"), release_s=release_s)
+    lived = live(*silent(7.0, "force_torque"), release_s=release_s, until_s=9.3)
     assert lived.collision is None
     assert lived.contact == "released"
     assert lived.force_n < BEARABLE_N

@@ -41,12 +41,16 @@ class TcpLimit:
         """Limit of the commands' mean speed over some ``MEAN_S`` [m/s]."""
         return COMMANDED * self.speed
 
+    @property
+    def free(self) -> float:
+        """Mean speed up to which it may rise at once [m/s]."""
+        return FREE * self.commanded
+
 
 def is_slow(state: LimiterState, limit: TcpLimit) -> bool:
     """Return whether the axes' speeds alone keep the tcp far below its limit."""
-    cap = FREE * limit.commanded
     return bool(
-        np.dot(np.abs(state.mean), limit.levers) <= cap
+        np.dot(np.abs(state.mean), limit.levers) <= limit.free
         and np.dot(np.abs(state.speed), limit.levers) <= limit.commanded
     )
 

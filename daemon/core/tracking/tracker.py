@@ -56,8 +56,6 @@ from linemate.daemon.core.tracking.touch import (
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
-WITHDRAW_WAY = 0.15  # way of an emergency retraction [m]
-WITHDRAW_S = 0.6  # duration of an emergency retraction [s]
 CLEAR_WAY = 0.05  # way from the object at which a released tool has cleared it [m]
 
 
@@ -80,7 +78,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
     withdrawn from there.
     """
     poses = np.tile(pose, (tracker.steps + 1, 1))
-    if _is_engaged(state):
+    if _is_engaged(tracker, state):
         return replace(
             state,
             poses=poses,
@@ -120,14 +118,14 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
     )
 
 
-def _is_engaged(state: TrackerState) -> bool:
+def _is_engaged(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether the tool is clamped to the object, or was and has not cleared it.
 
     A tool that may be clamped counts: a clamp closes before the contact is felt.
     """
     is_released = state.started and Gate.WHEEL_RELEASED in state.passed
     if state.withdrawn is not None:
-        return (state.contact or is_released) and state.withdrawn <= WITHDRAW_S
+        return (state.contact or is_released) and state.withdrawn <= tracker.withdrawal.duration
     is_near = is_released and state.distance > -CLEAR_WAY
     return state.contact or state.clamped or is_near
 
@@ -181,8 +179,7 @@ def track(
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
-        s = approach.smoothstep((state.withdrawn + span) / WITHDRAW_S)
-        goal = approach.withdraw(goal, WITHDRAW_WAY * s)
+        goal = approach.withdraw(goal, tracker.withdrawal.way(state.withdrawn + span))
     goal = merge.rounded(goal, tracker.corner)
     plan = tracker.merge_plan(in_contact=state.contact)
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)

@@ -37,6 +37,7 @@ from linemate.daemon.core.tracking.touch.compliance import (
 )
 from linemate.daemon.core.tracking.touch.force_sign import TRUSTED, ForceSign
 from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
+from linemate.daemon.core.tracking.touch.withdrawal import Withdrawal
 from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
@@ -101,6 +102,7 @@ class Tracker:
     search_time: float
     press: float
     damped_until: float
+    withdrawal: Withdrawal
     foresight: Foresight | None = None
 
     @property

@@ -1,0 +1,37 @@
+"""Way and speed of an emergency retraction."""
+
+import math
+
+import numpy as np
+import pytest
+
+from linemate.daemon.core.tracking.touch.withdrawal import (
+    FASTEST,
+    SLOWEST,
+    WAY,
+    Withdrawal,
+    compile_withdrawal,
+)
+
+
+@pytest.mark.parametrize("speed", [SLOWEST, 0.3, FASTEST])
+def test_a_retraction_goes_its_way_within_its_duration_at_its_speed(speed: float) -> None:
+    withdrawal = Withdrawal(speed)
+    times = np.linspace(-0.1, withdrawal.duration + 0.1, 4001)
+    way = withdrawal.way(times)
+    assert (way[times <= 0.0] == 0.0).all()
+    assert way[times >= withdrawal.duration] == pytest.approx(WAY)
+    speeds = np.diff(way) / np.diff(times)
+    assert speeds.min() > -1e-9
+    assert speeds.max() == pytest.approx(speed, rel=1e-6)
+
+
+def test_a_retraction_from_a_moving_object_keeps_the_free_speed_of_the_tcp() -> None:
+    free, conveyor = 0.34, 0.106
+    along = compile_withdrawal(free, conveyor).speed
+    assert 0.9 * free < math.hypot(along, conveyor) < free
+
+
+def test_a_retraction_is_not_endless_where_the_tcp_may_hardly_move() -> None:
+    assert compile_withdrawal(0.05, 0.106).speed == SLOWEST
+    assert compile_withdrawal(1.5, 0.106).speed == FASTEST
