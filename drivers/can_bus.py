@@ -22,11 +22,11 @@ from typing import Any, Literal, Protocol, TypeVar
 import can
 
 from linemate.drivers.backoff import Backoff
+from linemate.drivers.datagrams import ArrivalClock, paired_clocks
 from linemate.drivers.kept_link import KeptLink
 from linemate.drivers.link import describe_error
 from linemate.drivers.read_ahead import ReadAhead
 from linemate.drivers.slcan_reader import SlcanReader
-from linemate.drivers.stamps import ArrivalClock, paired_clocks
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.stamped_samples import DistanceSample
 

@@ -57,10 +57,10 @@ from linemate.daemon.service.parameter_service import Answer, ParameterService
 from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.status import DaemonSnapshot, LinkView, Rates, status, telemetry
 from linemate.drivers.can_bus import CanLink
+from linemate.drivers.datagrams import Address
 from linemate.drivers.serial_port import SerialLink
 from linemate.drivers.udp import port_holder
 from linemate.drivers.udp.camera_udp import CameraLink
-from linemate.drivers.udp.datagrams import Address
 from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.exchange import TelegramKind as Telegram
 

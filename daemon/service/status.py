@@ -16,8 +16,8 @@ from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.watch import IN_CONTACT
 from linemate.daemon.recording.format import SHOWN_OUTPUTS
 from linemate.daemon.recording.recorder import RecorderStatus
+from linemate.drivers.datagrams import Address
 from linemate.drivers.link import LinkStatus
-from linemate.drivers.udp.datagrams import Address
 
 VERSION = 1
 STALE_S = 1.0

@@ -12,7 +12,7 @@ import ipaddress
 from enum import StrEnum, auto
 from typing import Final
 
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.protocol.numeric_peer import Peer
 
 TAKEOVER_S: Final = 5.0  # longer than an occlusion, shorter than a restart of the tracker

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from typing import Protocol
 
 from linemate.drivers.backoff import Backoff
+from linemate.drivers.datagrams import Address, Datagram, DatagramSocket
 from linemate.drivers.udp.camera_peer import TAKEOVER_S, CameraPeer, SenderRole
-from linemate.drivers.udp.datagrams import Address, Datagram, DatagramLink, DatagramSocket
+from linemate.drivers.udp.datagram_link import DatagramLink
 from linemate.drivers.udp.sole_sender import SoleSender
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.numeric_peer import Peer

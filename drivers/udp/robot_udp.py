@@ -17,8 +17,9 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 from linemate.drivers.backoff import Backoff
+from linemate.drivers.datagrams import Address, Datagram, DatagramSocket
 from linemate.drivers.link import describe_error
-from linemate.drivers.udp.datagrams import Address, Datagram, DatagramLink, DatagramSocket
+from linemate.drivers.udp.datagram_link import DatagramLink
 from linemate.drivers.udp.sole_sender import SoleSender
 from linemate.protocol.controller_link import ReadyReply
 

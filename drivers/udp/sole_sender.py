@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from linemate.drivers.udp.datagrams import Address, DatagramSocket
+from linemate.drivers.datagrams import Address, DatagramSocket
 
 SO_ATTACH_FILTER: Final = 26
 SO_DETACH_FILTER: Final = 27

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from linemate.drivers.backoff import Backoff
-from linemate.drivers.udp.datagrams import Address, Datagram, DatagramSocket
+from linemate.drivers.datagrams import Address, Datagram, DatagramSocket
 from linemate.drivers.udp.robot_udp import OnTelegram, RobotLink
 from linemate.protocol.controller_link import Handshake, ReadyReply
 

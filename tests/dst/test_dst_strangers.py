@@ -3,7 +3,7 @@
 import re
 from functools import partial
 
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.simulators.lab.faults.dst_controllers import second
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_strangers import (

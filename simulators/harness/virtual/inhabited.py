@@ -19,8 +19,8 @@ import can
 import serialx
 
 from linemate.daemon.cycle.clock import timer as daemon_timer
+from linemate.drivers.datagrams import DatagramSocket
 from linemate.drivers.udp import sole_sender
-from linemate.drivers.udp.datagrams import DatagramSocket
 from linemate.protocol.sensors import distance as distance_codec
 from linemate.simulators.harness.virtual.virtual_ports import (
     VirtualBus,

@@ -8,8 +8,7 @@ from functools import partial
 
 import can
 
-from linemate.drivers.stamps import SO_TIMESTAMPNS
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import SO_TIMESTAMPNS, Address
 from linemate.simulators.harness.virtual.virtual_time import Port, VirtualTime
 
 RECEIVE_QUEUE = 256  # datagrams that wait in a socket before the kernel drops new ones

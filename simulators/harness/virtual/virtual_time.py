@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from typing import Protocol
 
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 
 EPOCH_NS = 10**17  # the monotonic instant at which virtual time begins: later than any host's own
 WALL_NS = 1_700_000_000 * 10**9  # the wall clock's at that instant

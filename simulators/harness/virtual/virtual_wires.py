@@ -7,7 +7,7 @@ Invariants:
 
 from functools import partial
 
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.simulators.harness.sensor_links import Emitters
 from linemate.simulators.harness.virtual.virtual_time import VirtualTime
 

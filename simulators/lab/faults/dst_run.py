@@ -21,7 +21,7 @@ from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
 from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults

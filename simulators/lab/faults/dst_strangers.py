@@ -8,7 +8,7 @@ import re
 from collections import deque
 from collections.abc import Callable
 
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.simulators.devices.robot_program import Controller
 from linemate.simulators.plants.scenario import Fault
 

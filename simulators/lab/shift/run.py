@@ -25,7 +25,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
-from linemate.drivers.udp.datagrams import Address
+from linemate.drivers.datagrams import Address
 from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.line.car_feeder import CarFeeder

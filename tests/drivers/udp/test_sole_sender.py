@@ -9,9 +9,9 @@ from contextlib import ExitStack, closing
 import pytest
 from loops import run, until
 
+from linemate.drivers.datagrams import DatagramSocket
 from linemate.drivers.udp import camera_udp, robot_udp, sole_sender
 from linemate.drivers.udp.camera_udp import CameraLink
-from linemate.drivers.udp.datagrams import DatagramSocket
 from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.drivers.udp.sole_sender import SoleSender, keep_only, only_from
 from linemate.protocol.sensors.camera_codec import CameraDecoder

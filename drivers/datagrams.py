@@ -1,37 +1,128 @@
-"""Non-blocking datagram socket with kernel stamps, and the link that keeps it open.
+"""Non-blocking datagram socket, and the arrival of a datagram from the kernel's stamp.
 
 asyncio's datagram transport is not used: it allocates 256 KiB for each datagram and reads without
 a limit.
 
 Invariants:
-    A read allocates at most 2 KiB.
-    A longer datagram is marked as oversize by the kernel's flag.
+    A read allocates at most 2 KiB. A longer datagram is marked as oversize by the kernel's flag.
+    The kernel stamps with CLOCK_REALTIME, which can be stepped. Only the age of a stamp is used.
+    An age is accepted up to the time since the socket was last empty, plus a margin.
+    Any other datagram is dated by its reading, and counted.
+
+Reference: socket(7), SO_TIMESTAMPNS.
 """
 
-import asyncio
 import select
 import socket
+import struct
 import time
-from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from linemate.drivers.backoff import Backoff
-from linemate.drivers.link import LinkStatus, describe_error
-from linemate.drivers.stamps import (
-    ANCILLARY_BYTES,
-    ArrivalClock,
-    paired_clocks,
-    request_kernel_stamps,
-)
-
+SO_TIMESTAMPNS = 35  # not named by Python's socket module; asm-generic/socket.h
+SO_RXQ_OVFL = 40
 TRUNCATED = int(socket.MSG_TRUNC)  # an enumeration's & takes 4 us
 BUFFER_BYTES = 2048
+MARGIN_NS = 10_000_000  # an accepted age may exceed the time since the socket was empty [ns]
+PAIR_TOLERANCE_NS = 50_000  # between two readings of the monotonic clock around the other [ns]
+
+_TIMESPEC = struct.Struct("@ll")
+_DROPS = struct.Struct("@I")
+
+ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size) + socket.CMSG_SPACE(_DROPS.size)
 
 Address = tuple[str, int]
+Ancillary = Iterable[tuple[int, int, bytes]]
 # Bytes, control messages, flags and source, as the kernel returns them.
 RawDatagram = tuple[bytes, list[tuple[int, int, bytes]], int, Address]
+
+
+def request_kernel_stamps(endpoint: socket.socket) -> None:
+    """Ask the kernel to stamp arrivals and to count drops, where it can."""
+    for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):
+        try:
+            endpoint.setsockopt(socket.SOL_SOCKET, option, 1)
+        except OSError:
+            continue
+
+
+def read_ancillary(ancillary: Ancillary) -> tuple[int | None, int | None]:
+    """Return the stamp on CLOCK_REALTIME [ns] and the number of datagrams dropped so far.
+
+    Each is None if the control messages of ``recvmsg`` do not have it.
+    """
+    realtime_ns: int | None = None
+    drops: int | None = None
+    for level, kind, data in ancillary:
+        if level != socket.SOL_SOCKET:
+            continue
+        if kind == SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack(data)
+            realtime_ns = seconds * 1_000_000_000 + nanoseconds
+        elif kind == SO_RXQ_OVFL and len(data) == _DROPS.size:
+            (drops,) = _DROPS.unpack(data)
+    return realtime_ns, drops
+
+
+def paired_clocks() -> tuple[int, int]:
+    """Return the monotonic clock and CLOCK_REALTIME at one instant [ns].
+
+    Three tries: the scheduler may run another program between the two readings.
+    """
+    for _ in range(3):
+        before_ns = time.monotonic_ns()
+        realtime_ns = time.time_ns()
+        after_ns = time.monotonic_ns()
+        if after_ns - before_ns < PAIR_TOLERANCE_NS:
+            break
+    return after_ns, realtime_ns
+
+
+@dataclass(slots=True)
+class ArrivalClock:
+    """Turns kernel stamps into monotonic arrivals.
+
+    Attributes:
+        margin_ns: how much older than the last empty read a datagram may be [ns].
+        refused: kernel stamps with an age that is not accepted.
+        missing: datagrams without a kernel stamp.
+    """
+
+    margin_ns: int = MARGIN_NS
+    refused: int = 0
+    missing: int = 0
+    _empty_ns: int = field(default_factory=time.monotonic_ns)
+
+    def drained(self, now_ns: int) -> None:
+        """Note that a read found nothing at a monotonic time [ns]."""
+        self._empty_ns = now_ns
+
+    def date(self, ancillary: Ancillary) -> tuple[int, int | None]:
+        """Return the arrival of a datagram that is read now [ns], and the kernel's drop count."""
+        now_ns, realtime_ns = paired_clocks()
+        stamp_realtime_ns, drops = read_ancillary(ancillary)
+        return self.arrival(stamp_realtime_ns, now_ns, realtime_ns), drops
+
+    def arrival(self, stamp_realtime_ns: int | None, now_ns: int, realtime_ns: int) -> int:
+        """Return the monotonic arrival of a datagram [ns], never after ``now_ns``.
+
+        Args:
+            stamp_realtime_ns: the kernel's stamp on CLOCK_REALTIME [ns], or None.
+            now_ns: monotonic time of reading [ns].
+            realtime_ns: CLOCK_REALTIME at the same instant [ns].
+        """
+        if stamp_realtime_ns is None:
+            self.missing += 1
+            return now_ns
+        age_ns = realtime_ns - stamp_realtime_ns
+        if 0 <= age_ns <= now_ns - self._empty_ns + self.margin_ns:
+            return now_ns - age_ns
+        if -PAIR_TOLERANCE_NS < age_ns < 0:
+            return now_ns
+        self.refused += 1
+        return now_ns
 
 
 class Datagram(Struct, frozen=True):
@@ -147,91 +238,3 @@ class DatagramSocket:
     def close(self) -> None:
         """Close the socket."""
         self.endpoint.close()
-
-
-class DatagramLink(ABC):
-    """A bound socket that the loop watches, and that is bound again when it breaks.
-
-    Attributes:
-        refusal: error of the last try to bind, None if it succeeded.
-        opened_ns: time of opening [ns], 0 before.
-    """
-
-    def __init__(self, name: str, host: str, port: int, backoff: Backoff | None = None) -> None:
-        self.status = LinkStatus(name)
-        self.counters = self.status.counters
-        self.refusal: OSError | OverflowError | None = None
-        self.opened_ns = 0
-        self._bind = (host, port)
-        self._backoff = backoff or Backoff()
-        self._socket: DatagramSocket | None = None
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._retry: asyncio.TimerHandle | None = None
-
-    @property
-    def address(self) -> Address | None:
-        """Local address and port, None while the link is down."""
-        return self._socket.address if self._socket is not None else None
-
-    def open(self) -> None:
-        """Bind and listen on the running loop; if that fails, try again with back-off."""
-        self._loop = asyncio.get_running_loop()
-        self._forget_retry()
-        if self._socket is not None:
-            return
-        try:
-            self._socket = DatagramSocket.bound(*self._bind)
-        except (OSError, OverflowError) as error:
-            self.refusal = error
-            self._down(describe_error(error))
-            return
-        self.refusal = None
-        self.opened_ns = time.monotonic_ns()
-        self._loop.add_reader(self._socket.fileno(), self.poll)
-        self._backoff.reset()
-        self.status.mark_up()
-
-    def close(self) -> None:
-        """Stop listening and do not open again."""
-        self._forget_retry()
-        self._release()
-        self.status.mark_closed()
-
-    async def wait_closed(self) -> None:
-        """Let the loop run once; ``close`` has released everything."""
-        await asyncio.sleep(0)
-
-    def poll(self) -> None:
-        """Read what waits, within the budget; the rest waits for the next wake."""
-        transport = self._socket
-        if transport is None:
-            return
-        try:
-            self._read(transport)
-        except OSError as error:
-            self._down(describe_error(error))
-            return
-        self.counters["kernel_drops"] = transport.kernel_drops
-        self.counters["stamps_refused"] = transport.clock.refused
-
-    @abstractmethod
-    def _read(self, transport: DatagramSocket) -> None:
-        """Read and deliver datagrams; an OSError means that the socket is broken."""
-
-    def _forget_retry(self) -> None:
-        if self._retry is not None:
-            self._retry.cancel()
-            self._retry = None
-
-    def _release(self) -> None:
-        if self._socket is None or self._loop is None:
-            return
-        self._loop.remove_reader(self._socket.fileno())
-        self._socket.close()
-        self._socket = None
-
-    def _down(self, reason: str) -> None:
-        self._release()
-        self.status.mark_down(reason)
-        if self._loop is not None:
-            self._retry = self._loop.call_later(self._backoff.next_delay(), self.open)

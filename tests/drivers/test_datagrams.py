@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 
-from linemate.drivers.stamps import (
+from linemate.drivers.datagrams import (
     ANCILLARY_BYTES,
     SO_RXQ_OVFL,
     SO_TIMESTAMPNS,
