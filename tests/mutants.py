@@ -81,6 +81,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/xml_scan.py": (
         "tests/protocol/test_wires_transcript.py",

@@ -17,8 +17,8 @@ from linemate.protocol.controller_link import (
     SetpointKind,
 )
 from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, RsiError, SensorTelegram
-from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
 from linemate.protocol.rsi.telegram_layout import EXTERNAL_AXES
+from linemate.protocol.rsi.telegram_reader import ExpectedTelegram
 from linemate.protocol.stamped_samples import RobotSample, Vector6
 
 
@@ -30,7 +30,15 @@ class RsiLink:
         bare: a reply of the constants alone: the controller keeps the corrections that it has.
     """
 
-    __slots__ = ("_codec", "_external_axes", "_is_on_rail", "_writes_signals", "bare", "rules")
+    __slots__ = (
+        "_codec",
+        "_external_axes",
+        "_is_on_rail",
+        "_reader",
+        "_writes_signals",
+        "bare",
+        "rules",
+    )
 
     def __init__(self, codec: RsiCodec, *, absolute: bool = True, on_rail: bool = False) -> None:
         """Look up what the configuration has elements for.
@@ -39,7 +47,7 @@ class RsiLink:
             absolute: corrections are offsets from the start (#ABSOLUTE), else increments.
             on_rail: the arm stands on a linear axis, E1.
         """
-        self._codec = codec
+        self._codec, self._reader = codec, codec.robot_reader
         self._is_on_rail = on_rail
         kind = SetpointKind.OFFSETS if absolute else SetpointKind.INCREMENTS
         self.rules = ExchangeRules(kind)
@@ -57,7 +65,7 @@ class RsiLink:
                 that the arm has.
         """
         try:
-            telegram = self._codec.parse_robot(data)
+            telegram = self._reader.parse(data)
         except RsiError as error:
             raise refusal(error, data, "rsi") from None
         if telegram.joints is None:
@@ -106,7 +114,7 @@ class RsiLink:
         A lost setpoint shows in ``delay``, not in where the servos are sent.
         """
         del is_lost
-        telegram = self._codec.expect_robot(counter, delay, joints, reach)
+        telegram = self._reader.expect(counter, delay, joints, reach)
         return None if telegram is None else (telegram, b"%d" % counter)
 
     def without_setpoint(self, digital_out: int, *, writes_zero: bool = False) -> PreparedReply:

@@ -1,4 +1,4 @@
-"""Telegram bytes to the texts of their configured values.
+"""Telegram bytes to values, and the telegram that is expected next.
 
 Invariants:
 - The fast reader is a pattern of the shape last seen: literal except for the values.
@@ -8,11 +8,14 @@ Invariants:
 """
 
 import re
-from collections.abc import Callable, Sequence
-from operator import itemgetter
+from collections.abc import Callable, Mapping, Sequence
+from operator import itemgetter, mul
+from typing import cast
 
-from linemate.protocol.rsi.telegram_layout import Field, Layout
+from linemate.protocol.rsi.telegram import Channel, RobotTelegram, SensorTelegram
+from linemate.protocol.rsi.telegram_layout import Field, Layout, Vector
 from linemate.protocol.rsi.xml_scan import BLANK, FlatDocument, RsiError, Span, scan, unescape
+from linemate.protocol.stamped_samples import Vector6
 
 MAX_TELEGRAM_BYTES = 2048
 MAX_IPOC = 2**64 - 1
@@ -52,6 +55,60 @@ _Key = tuple[str, str | None]
 _IPOC_KEY: _Key = ("IPOC", None)
 
 
+class ExpectedTelegram:
+    """Accepts one counter, one Delay and a range for each joint.
+
+    Invariants:
+        It is made before the telegram comes. One match and eight comparisons are left.
+        What it accepts, ``RsiCodec.parse_robot`` accepts too.
+    """
+
+    __slots__ = ("_groups", "_high", "_low", "_match", "_texts")
+
+    def __init__(
+        self,
+        match: Callable[[bytes], re.Match[bytes] | None],
+        groups: Sequence[int],
+        texts: Sequence[bytes],
+        low: Sequence[float],
+        high: Sequence[float],
+    ) -> None:
+        """Keep the expected values.
+
+        Args:
+            match: matches a whole telegram in the shape last seen.
+            groups: numbers of the joints' groups, then those of ``texts``.
+            texts: Delay if there is one, and IPOC, as they must stand in the telegram.
+            low: open lower bound of each joint, in the unit of the wire [deg].
+            high: the upper bounds [deg].
+        """
+        self._match = match
+        self._groups = tuple(groups)
+        self._texts = list(texts)
+        self._low = tuple(low)
+        self._high = tuple(high)
+
+    def matches(self, data: bytes) -> bool:
+        """Return whether a datagram is the telegram."""
+        match = self._match(data)
+        # A datagram as long as the buffer may be incomplete.
+        if match is None or len(data) >= MAX_TELEGRAM_BYTES:
+            return False
+        a, b, c, d, e, f, *texts = match.group(*self._groups)
+        if texts != self._texts:
+            return False
+        low, high = self._low, self._high
+        # Unrolled: a loop costs a microsecond of the turn-around.
+        return (
+            low[0] < float(a) < high[0]
+            and low[1] < float(b) < high[1]
+            and low[2] < float(c) < high[2]
+            and low[3] < float(d) < high[3]
+            and low[4] < float(e) < high[4]
+            and low[5] < float(f) < high[5]
+        )
+
+
 class TelegramReader:
     """Reads the telegrams of one direction.
 
@@ -67,6 +124,7 @@ class TelegramReader:
             (field.element, field.attribute): n for n, field in enumerate(layout.fields)
         }
         self._positions[_IPOC_KEY] = len(layout.fields)
+        self._vectors = _Vectors(layout.vectors)
         self._relearn_after = _FIRST_RELEARN
         self._mismatches = 0
         self.fast = 0
@@ -91,13 +149,8 @@ class TelegramReader:
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
-    @property
-    def match(self) -> Callable[[bytes], re.Match[bytes] | None]:
-        """The fast reader: matches a whole telegram in the shape last seen."""
-        return self._pattern.fullmatch
-
-    def groups(self, fields: Sequence[int]) -> tuple[int, ...]:
-        """Return the groups in :attr:`match` of positions in ``Layout.fields``, then the IPOC's."""
+    def _groups_of(self, fields: Sequence[int]) -> tuple[int, ...]:
+        """Return the pattern's groups of positions in ``Layout.fields``, then the IPOC's."""
         key = tuple(fields)
         if key not in self._groups:
             whole = (*key, len(self._layout.fields))
@@ -189,6 +242,90 @@ class TelegramReader:
         return _FAST_GROUPS[self._layout.fields[position].type]
 
 
+class RobotReader(TelegramReader):
+    """Reads the controller's telegrams, and knows how the next one looks."""
+
+    def __init__(self, layout: Layout, example: str) -> None:
+        """Learn the shape of ``example``, a telegram as the codec writes it."""
+        super().__init__(layout, example)
+        whole = (v for v in layout.vectors if v.name == "joints" and len(v.fields) == v.width)
+        self._joints = next(whole, None)
+        # Of the last expected telegram: a robot at rest has the same ones in each cycle.
+        self._bounds: tuple[Vector6 | None, float, tuple[float, ...], tuple[float, ...]]
+        self._bounds = None, 0.0, (), ()
+
+    def parse(self, data: bytes) -> RobotTelegram:
+        """Return the values of a telegram.
+
+        Raises:
+            RsiError: not a telegram of this configuration; everything configured must be there.
+        """
+        texts, _ = self.read(data)
+        layout = self._layout
+        ipoc, ipoc_text = _ipoc(texts)
+        vector = self._vectors.read(texts).get
+        return RobotTelegram(
+            ipoc,
+            ipoc_text,
+            vector("joints"),
+            vector("joint_setpoints"),
+            vector("external"),
+            vector("external_setpoints"),
+            vector("tcp"),
+            vector("tcp_setpoint"),
+            None if layout.delay is None else int(cast(bytes, texts[layout.delay])),
+            _channels(layout, texts),
+        )
+
+    def expect(
+        self, ipoc: int, delay: int | None, joints: Vector6, reach: float
+    ) -> ExpectedTelegram | None:
+        """Return the telegram to expect next, None without AIPos or with another Delay.
+
+        Args:
+            delay: the next Delay, None if none is configured.
+            joints: the last measured joints [rad].
+            reach: how far from there a joint may be [rad].
+        """
+        vector, position = self._joints, self._layout.delay
+        if vector is None or (delay is None) != (position is None):
+            return None
+        scales, fields, texts = vector.scales, vector.fields, [b"%d" % ipoc]
+        if delay is not None and position is not None:
+            fields, texts = (*fields, position), [b"%d" % delay, *texts]
+        kept, kept_reach, low, high = self._bounds
+        if joints is not kept or reach != kept_reach:
+            low = tuple([(q - reach) / scale for q, scale in zip(joints, scales, strict=True)])
+            high = tuple([(q + reach) / scale for q, scale in zip(joints, scales, strict=True)])
+            self._bounds = joints, reach, low, high
+        return ExpectedTelegram(self._pattern.fullmatch, self._groups_of(fields), texts, low, high)
+
+
+class SensorReader(TelegramReader):
+    """Reads the daemon's replies."""
+
+    def parse(self, data: bytes) -> SensorTelegram:
+        """Return the values of a reply; one that it lacks is None, a channel is left out.
+
+        Raises:
+            RsiError: not a reply of this configuration, or part of a vector missing.
+        """
+        texts, sentype = self.read(data)
+        layout = self._layout
+        ipoc, ipoc_text = _ipoc(texts)
+        vector = self._vectors.read(texts).get
+        message = None if layout.message is None else texts[layout.message]
+        return SensorTelegram(
+            ipoc,
+            ipoc_text,
+            sentype,
+            vector("joints"),
+            vector("external"),
+            _channels(layout, texts),
+            None if message is None else message.decode("latin-1"),
+        )
+
+
 def _counter(data: bytes) -> bytes | None:
     """Return the IPOC's digits in an unreadable telegram, None unless there is exactly one."""
     counters = _COUNTER.findall(data)
@@ -237,3 +374,60 @@ def _checked(field: Field, raw: str) -> str:
     if not abs(float(text)) < MAX_NUMBER:
         raise RsiError(f"{text[:32]} is out of range", element=field.key)
     return text
+
+
+def _ipoc(texts: Texts) -> tuple[int, bytes]:
+    text = cast(bytes, texts[-1])
+    return int(text), text
+
+
+class _Vectors:
+    """Converts the vectors of one layout, all at once where their fields are one block."""
+
+    def __init__(self, vectors: tuple[Vector, ...]) -> None:
+        self._vectors = sorted(vectors, key=lambda vector: vector.fields[0])
+        fields = [n for vector in self._vectors for n in vector.fields]
+        first = fields[0] if fields else 0
+        self._is_block = all(vector.contiguous for vector in vectors) and fields == list(
+            range(first, first + len(fields))
+        )
+        self._block = slice(first, first + len(fields))
+        self._scales = [scale for vector in self._vectors for scale in vector.scales]
+        self._parts = [
+            (v.name, slice(v.fields[0] - first, v.fields[-1] - first + 1)) for v in self._vectors
+        ]
+
+    def read(self, texts: Texts) -> dict[str, Vector6 | None]:
+        """Return the vectors by name in SI; typed as six numbers, external ones may be fewer."""
+        if not self._is_block or None in texts:
+            return {v.name: cast(Vector6 | None, _vector(v, texts)) for v in self._vectors}
+        raw = cast(Sequence[bytes], texts[self._block])
+        numbers = tuple(map(mul, map(float, raw), self._scales))
+        return {name: numbers[part] for name, part in self._parts}
+
+
+def _vector(vector: Vector, texts: Texts) -> tuple[float, ...] | None:
+    """Return one vector's values in SI; axes that are not configured are zero."""
+    if texts[vector.fields[0]] is None:
+        return None
+    out = [0.0] * vector.width
+    for position, axis, scale in zip(vector.fields, vector.axes, vector.scales, strict=True):
+        out[axis] = float(cast(bytes, texts[position])) * scale
+    return tuple(out)
+
+
+def _channels(layout: Layout, texts: Texts) -> Mapping[str, Channel]:
+    out: dict[str, Channel] = {}
+    for key, n in layout.channels.items():
+        text = texts[n]
+        if text is not None:
+            out[key] = _channel(layout.fields[n].type, text)
+    return out
+
+
+def _channel(kind: str, text: bytes) -> Channel:
+    if kind == "LONG":
+        return int(text)
+    if kind == "DOUBLE":
+        return float(text)
+    return text.decode("latin-1") if kind == "STRING" else float(text) != 0.0

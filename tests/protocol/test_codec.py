@@ -864,7 +864,7 @@ def test_a_constant_is_in_every_reply_and_alone_in_a_bare_one() -> None:
 def test_only_a_telegram_with_the_next_counter_and_joints_in_reach_is_expected() -> None:
     codec = RsiCodec(config("DEF_AIPos DOUBLE INTERNAL"))
     joints = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
-    expected = codec.expect_robot(12, None, joints, 0.05)
+    expected = codec.robot_reader.expect(12, None, joints, 0.05)
     assert expected is not None
     for ipoc, moved, matches in ((12, 0.04, True), (13, 0.04, False), (12, 0.06, False)):
         telegram = RobotTelegram(ipoc, joints=(moved, *joints[1:]))
@@ -875,7 +875,7 @@ def test_a_robot_at_rest_is_expected_where_it_is_with_each_further_counter() -> 
     codec = RsiCodec(config("DEF_AIPos DOUBLE INTERNAL"))
     joints = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)
     for ipoc, reach in ((12, 0.05), (24, 0.05), (36, 0.01)):
-        expected = codec.expect_robot(ipoc, None, joints, reach)
+        expected = codec.robot_reader.expect(ipoc, None, joints, reach)
         assert expected is not None
         for moved in (0.04, 0.06):
             telegram = RobotTelegram(ipoc, joints=(moved, *joints[1:]))
@@ -884,4 +884,4 @@ def test_a_robot_at_rest_is_expected_where_it_is_with_each_further_counter() -> 
 
 def test_nothing_is_expected_without_joints_in_the_telegram() -> None:
     codec = RsiCodec(config("DEF_Delay LONG INTERNAL"))
-    assert codec.expect_robot(12, 0, (0.0,) * 6, 0.05) is None
+    assert codec.robot_reader.expect(12, 0, (0.0,) * 6, 0.05) is None

@@ -80,8 +80,8 @@ def test_nothing_is_expected_of_a_delay_that_is_not_known() -> None:
     codec.parse_robot(
         codec.format_robot(RobotTelegram(12, joints=SIX, external=SIX, tcp=SIX, delay=0))
     )
-    assert codec.expect_robot(24, None, SIX, 0.05) is None
-    assert codec.expect_robot(24, 0, SIX, 0.05) is not None
+    assert codec.robot_reader.expect(24, None, SIX, 0.05) is None
+    assert codec.robot_reader.expect(24, 0, SIX, 0.05) is not None
 
 
 def test_a_distance_beyond_its_place_is_refused() -> None:
@@ -111,7 +111,7 @@ def _foreseen(**changed: object) -> bool:
     codec = RsiCodec(parse_config(SHIPPED))
     plain = {"joints": SIX, "external": SIX, "tcp": SIX, "delay": 0, "channels": {"DiL": 0}}
     codec.parse_robot(codec.format_robot(RobotTelegram(12, **plain)))  # type: ignore[arg-type]
-    expected = codec.expect_robot(24, 0, SIX, 0.05)
+    expected = codec.robot_reader.expect(24, 0, SIX, 0.05)
     assert expected is not None
     values = {"ipoc": 24, **plain, **changed}
     return expected.matches(codec.format_robot(RobotTelegram(**values)))  # type: ignore[arg-type]
@@ -140,7 +140,7 @@ def test_what_is_no_telegram_or_too_long_a_one_is_not_expected() -> None:
     codec = RsiCodec(parse_config(SHIPPED))
     telegram = RobotTelegram(12, joints=SIX, external=SIX, tcp=SIX, delay=0)
     codec.parse_robot(codec.format_robot(telegram))
-    expected = codec.expect_robot(24, 0, SIX, 0.05)
+    expected = codec.robot_reader.expect(24, 0, SIX, 0.05)
     assert expected is not None
     data = codec.format_robot(
         RobotTelegram(24, joints=SIX, external=SIX, tcp=SIX, delay=0, channels={})

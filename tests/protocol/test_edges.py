@@ -40,7 +40,7 @@ def test_a_joint_that_is_as_far_as_it_may_be_is_not_expected(axis: int, sign: fl
     codec = RsiCodec(parse_config(SHIPPED))
     plain = RobotTelegram(12, joints=ZEROS, external=ZEROS, tcp=ZEROS, delay=0)
     codec.parse_robot(codec.format_robot(plain))
-    telegram = codec.expect_robot(24, 0, ZEROS, DEG)
+    telegram = codec.robot_reader.expect(24, 0, ZEROS, DEG)
     assert telegram is not None
     for degrees, expected in ((1.0, False), (0.999999, True)):
         joints = [0.0] * 6
@@ -53,7 +53,7 @@ def test_more_or_fewer_joints_than_there_are_cannot_be_expected() -> None:
     codec = RsiCodec(parse_config(SHIPPED))
     for joints in (ZEROS[:5], (*ZEROS, 0.0)):
         with pytest.raises(ValueError, match="zip"):
-            codec.expect_robot(24, 0, joints, DEG)  # type: ignore[arg-type]
+            codec.robot_reader.expect(24, 0, joints, DEG)  # type: ignore[arg-type]
 
 
 def test_a_configuration_of_256_kib_is_read_and_a_byte_more_is_not() -> None:

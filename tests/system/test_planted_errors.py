@@ -16,13 +16,13 @@ from linemate.daemon.cycle.operating import Operating
 from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
 from linemate.protocol.exchange import Exchange
-from linemate.protocol.rsi.codec import RsiCodec
 from linemate.protocol.rsi.rsi_link import RsiLink
+from linemate.protocol.rsi.telegram_reader import RobotReader
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.lab.faults.dst_run import Simulation
 
 CALLED: tuple[tuple[Any, str], ...] = (
-    (RsiCodec, "parse_robot"),
+    (RobotReader, "parse"),
     (Exchange, "on_telegram"),
     (Session, "settle"),
     (Session, "note_reply"),

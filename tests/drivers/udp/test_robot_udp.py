@@ -13,7 +13,7 @@ from loops import run, until
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.controller_link import ReadyReply
-from linemate.protocol.rsi.expected_telegram import ExpectedTelegram
+from linemate.protocol.rsi.telegram_reader import ExpectedTelegram
 
 
 class Anything(ExpectedTelegram):
