@@ -13,9 +13,9 @@ from dataclasses import replace
 from msgspec import Struct, structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step import Outputs, Pose
 from linemate.daemon.core.tracking.task import Phase
-from linemate.daemon.cycle import causes, following_error, states, watch
+from linemate.daemon.cycle import causes, states, watch
 from linemate.daemon.cycle.causes import Change, Evidence
 from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.states import Machine, Signals, State
@@ -23,6 +23,8 @@ from linemate.daemon.cycle.states import Machine, Signals, State
 OnTransition = Callable[[Machine, Signals, Machine], None]
 
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
+BRAKING = 1.0  # least deceleration of a tool that stops [m/s^2]
+LEADING_S = 0.12  # a stopping tool follows its plan for this time: commands lead, jerk is limited
 SETTLING = "the robot has not come to rest yet since its programme began"
 NEAR = frozenset({State.TRACK, State.HOLD, State.RETREAT})
 """States in which it matters what a stop would leave between tool and object."""
@@ -256,7 +258,7 @@ class Operating:
             wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
-            gap_m=following_error.gap_after_stop(last, period) if state in NEAR else None,
+            gap_m=gap_after_stop(last, period) if state in NEAR else None,
             following_error=situation.following_error is not None,
             ready=last.ready is None and not situation.settling,
             object_left=last.object_left,
@@ -270,7 +272,7 @@ class Operating:
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,
             home_blocked=_home_refusal(situation) is not None,
-            clear=last.finished and following_error.max_axis_speed(before, last, period) < SETTLED,
+            clear=last.finished and max_axis_speed(before, last, period) < SETTLED,
             orders=frozenset(self._orders),
         )
 
@@ -287,3 +289,38 @@ def _slower_ns(samples: SensorQueues, last: Outputs, *, last_approach: bool) -> 
     if (last.task_time or 0.0) <= 0.0:
         return None
     return samples.distance.newest_ns if last_approach else samples.slower_ns
+
+
+def max_axis_speed(before: Outputs, now: Outputs, period: float) -> float:
+    """Return the speed of the fastest axis from one step to the next [rad/s, m/s]."""
+    moved = zip(before.command, now.command, strict=True)
+    return max(abs(b - a) for a, b in moved) / period
+
+
+def gap_after_stop(now: Outputs, period: float) -> float | None:
+    """Return what a stop would leave between tool and object [m], None while it is not seen.
+
+    Along the tool's axis alone: an object that goes on sideways passes the tool in all its width.
+    Commands lead the tool. So it follows its plan for a while before it slows down.
+
+    Args:
+        now: outputs of the last step.
+        period: of the steps [s].
+    """
+    if now.part is None or now.task_time is None:
+        return None
+    distance = _ahead(now.target, now.part)
+    if now.horizon is None:
+        return distance
+    depth = now.horizon.item
+    n = min(max(1, round(LEADING_S / period)), len(now.horizon) - 1)
+    reached = depth(n, 2)
+    speed = max(0.0, (reached - depth(n - 1, 2)) / period)
+    return distance - (reached - depth(0, 2)) - speed * speed / (2.0 * BRAKING)
+
+
+def _ahead(tool: Pose, part: Pose) -> float:
+    """Return how far ahead of a tool a part is, along the tool's own z [m]."""
+    px, py, pz, w, x, y, z = tool
+    ax, ay, az = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    return (part[0] - px) * ax + (part[1] - py) * ay + (part[2] - pz) * az

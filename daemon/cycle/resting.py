@@ -1,4 +1,4 @@
-"""Rest of the daemon while a robot stands idle and no one looks: replies, but no steps.
+"""Orders of operators, and the rest while a robot stands idle: replies, but no steps.
 
 A telegram that brings nothing new gets the reply that holds the robot. Sensor health, watches and
 states are judged every ``LOOK_S``. Anything else ends the rest, and the step is made.
@@ -14,6 +14,7 @@ from typing import Any
 from msgspec import Struct
 
 from linemate.daemon.core import step as stepping
+from linemate.daemon.core.followed_poses import Chunk
 from linemate.daemon.cycle.session import Axes, standing
 from linemate.daemon.cycle.states import Link, State
 from linemate.daemon.cycle.steps import Stepper
@@ -26,6 +27,7 @@ SETTLE_S = 2.0  # of steps after a rest, until its estimates are those of a daem
 STILL = 5e-4  # an axis that has moved farther ends the rest [rad, m]
 
 _AFTER_SETTLING = frozenset({"arm", "home", "follow"})
+_MOVES = _AFTER_SETTLING | {"start"}
 
 
 class Rest(Struct, frozen=True):
@@ -71,15 +73,40 @@ class RestingStepper(Stepper):
         return max(0, self._settled_step - self.steps) * self.parameters.cycle_s
 
     def refusal(self, op: str) -> str | None:
-        """Return why an operator's order is refused now, None if it is not."""
-        return super().refusal(op) or self._unsettled(op)
+        """Return why an operator's order is refused now, None if it is not.
+
+        Args:
+            op: arm, start, stop, retreat, ack or home.
+        """
+        if op in _MOVES and self.session.unproven is not None:
+            return self.session.unproven
+        return self.operating.refusal(op, self._situation()) or self._unsettled(op)
 
     def order(self, op: str, who: str = "") -> str | None:
-        """Accept an operator's order for the next step; return why it is refused, or None."""
-        reason = self._unsettled(op)
-        if reason is not None:
-            return super().refusal(op) or reason
-        return super().order(op, who)
+        """Accept an operator's order for the next step; return why it is refused, or None.
+
+        Args:
+            op: arm, start, stop, retreat, ack or home.
+        """
+        reason = self.refusal(op)
+        return self.operating.order(op, self._situation(), who) if reason is None else reason
+
+    def hand_in(self, chunk: Chunk, who: str = "") -> str | None:
+        """Accept target poses for the next step; return why they are refused, or None.
+
+        The first chunk orders a robot that stands idle to follow.
+
+        Args:
+            chunk: monotonic time [ns], position [m] and quaternion of each pose, in base.
+        """
+        state, begins = self._state, self.machine.state is not State.FOLLOW
+        reason = self.refusal("follow") if begins else self.session.unproven
+        if reason is not None or state is None:
+            return reason or "no telegram has come yet"
+        if begins and (state.moving or state.tracker.contact or state.tracker.clamped):
+            return "the robot still moves" if state.moving else "the tool is on the object"
+        reason = self._poses.add(state, chunk, self._stamp_ns, self.parameters)
+        return self.order("follow", who) if reason is None and begins else reason
 
     def _unsettled(self, op: str) -> str | None:
         wait_s = self.settles_s

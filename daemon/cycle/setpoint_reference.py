@@ -41,6 +41,8 @@ STALLED_S = 10.0
 COUNTED_S = 0.5
 # Telegrams in a row that must agree before a start counts that one wrong digit could fake.
 CONFIRMATIONS = 3
+REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
+STILL = 2e-4  # ... so near to each other [rad, m]
 # A delayed telegram of the program's past: clock and counter agree at least so far [s].
 DELAYED_S = 0.5
 # The programmed position differs visibly from the actual one: it has no correction in it [rad, m].
@@ -285,3 +287,21 @@ def refutes(program: Program, programmed: Axes | None) -> bool:
 
 def _differ(first: Axes, other: Axes) -> bool:
     return any(abs(a - b) > APART for a, b in zip(first, other, strict=True))
+
+
+def was_led(program: Program, axes: Axes) -> bool:
+    """Return whether a robot was led since a program began, by this daemon or by its controller."""
+    ways = zip(axes, program.pending, strict=True)
+    return program.moved or any(abs(now - sent) >= STILL for now, sent in ways)
+
+
+def agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:
+    """Return whether a telegram follows those of a start that is likely, answered all."""
+    passed_s = (robot.stamp_ns - candidate.stamp_ns) * 1e-9
+    step = robot.counter - candidate.counter
+    if step <= 0 or (candidate.step is not None and step % candidate.step):
+        return False
+    if robot.delay is None or candidate.delay is None:
+        return False
+    # Less: it counts cycles in a row, and the bare reply was one that counts.
+    return (robot.delay - candidate.delay) * cycle_s <= passed_s + 2.0 * cycle_s

@@ -16,30 +16,29 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
-from linemate.daemon.core.followed_poses import Chunk
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
-from linemate.daemon.cycle.following_error import FollowingCheck
 from linemate.daemon.cycle.handed_poses import HandedPoses
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.operating import Operating, Situation
 from linemate.daemon.cycle.sensing.samples import NO_SAMPLES, DrainedSamples, SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import Conditions
 from linemate.daemon.cycle.session import Axes, Session, standing
+from linemate.daemon.cycle.setpoint_reference import REST_S, STILL
 from linemate.daemon.cycle.states import Machine, State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.protocol.controller_link import ControllerLink, PreparedReply, SetpointKind
-from linemate.protocol.stamped_samples import RobotSample
+from linemate.protocol.stamped_samples import AXES, RobotSample
 
 PROGRAMMED_S = 1000.0  # a blend this long lets the program alone lead the motion [s]
 LONGEST_LOG = 256  # steps that are kept until they are read
 CATCH_UP_S = 0.3  # steps made at once after a gap, at most [s]
 
-_MOVES = frozenset({"arm", "start", "home", "follow"})
+OFF_START = 5e-4  # rest farther from the session's start is another place [rad, m]
 
 
 class PreparedStep(Struct, frozen=True):
@@ -48,6 +47,82 @@ class PreparedStep(Struct, frozen=True):
     reply: PreparedReply
     entry: LogEntry
     plan: stepping.StepPlan
+
+
+class FollowingCheck:
+    """Compares the robot's position with its commands.
+
+    A robot lags behind its commands. So its position is compared with all commands of the last
+    moments, not with the newest one alone.
+
+    Attributes:
+        error: the axis beyond the tolerance, in words; None if there is none.
+    """
+
+    __slots__ = ("_at_start", "_commands", "_rest", "error")
+
+    def __init__(self, lag_s: float, cycle_s: float) -> None:
+        """Begin with no command.
+
+        Args:
+            lag_s: longest lag of the robot behind its commands [s].
+        """
+        self.error: str | None = None
+        self._at_start = 0
+        self._rest: deque[Axes] = deque(maxlen=max(2, round(REST_S / cycle_s)))
+        self._commands: deque[Axes] = deque(maxlen=max(2, round(lag_s / cycle_s)))
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether a robot without a command has stayed where its session began."""
+        return self._at_start >= (self._rest.maxlen or 0)
+
+    def reset(self, held: Axes) -> None:
+        """Begin a session with a robot that holds at a position."""
+        self._rest.clear()
+        self._commands.clear()
+        self._commands.append(held)
+        self.error = None
+        self._at_start = 0
+
+    def add_command(self, command: Axes) -> None:
+        """Add the newest command."""
+        self._commands.append(command)
+
+    def check_moving(self, axes: Axes, tolerance: float) -> None:
+        """Compare the position of a robot that has got a command.
+
+        Args:
+            tolerance: beyond the range of the last commands [rad, m].
+        """
+        self._rest.clear()
+        self.error = None
+        newest = self._commands[-1]
+        for n, q in enumerate(axes):
+            if newest[n] - tolerance <= q <= newest[n] + tolerance:
+                continue
+            commands = [command[n] for command in self._commands]
+            if not min(commands) - tolerance <= q <= max(commands) + tolerance:
+                self.error = f"{AXES[n]} is at {q:.3f}, it was sent to {newest[n]:.3f} (rad, m)"
+                return
+
+    def check_resting(self, axes: Axes, start: Axes) -> bool:
+        """Return whether a robot without a command has come to rest away from the start.
+
+        Args:
+            start: its position when the session began.
+        """
+        self.error = None
+        self._rest.append(axes)
+        for q, s in zip(axes, start, strict=True):
+            if not abs(q - s) <= OFF_START:
+                break
+        else:
+            self._at_start += 1
+            return False
+        self._at_start = 0
+        ranges = zip(*self._rest, strict=True)
+        return len(self._rest) == self._rest.maxlen and all(max(r) - min(r) < STILL for r in ranges)
 
 
 class Stepper:
@@ -95,43 +170,6 @@ class Stepper:
     def machine(self) -> Machine:
         """The operating state."""
         return self.operating.machine
-
-    def refusal(self, op: str) -> str | None:
-        """Return why an operator's order is refused now, None if it is not.
-
-        Args:
-            op: arm, start, stop, retreat, ack or home.
-        """
-        if op in _MOVES and self.session.unproven is not None:
-            return self.session.unproven
-        return self.operating.refusal(op, self._situation())
-
-    def order(self, op: str, who: str = "") -> str | None:
-        """Accept an operator's order for the next step; return why it is refused, or None.
-
-        Args:
-            op: arm, start, stop, retreat, ack or home.
-        """
-        if op in _MOVES and self.session.unproven is not None:
-            return self.session.unproven
-        return self.operating.order(op, self._situation(), who)
-
-    def hand_in(self, chunk: Chunk, who: str = "") -> str | None:
-        """Accept target poses for the next step; return why they are refused, or None.
-
-        The first chunk orders a robot that stands idle to follow.
-
-        Args:
-            chunk: monotonic time [ns], position [m] and quaternion of each pose, in base.
-        """
-        state, begins = self._state, self.machine.state is not State.FOLLOW
-        reason = self.refusal("follow") if begins else self.session.unproven
-        if reason is not None or state is None:
-            return reason or "no telegram has come yet"
-        if begins and (state.moving or state.tracker.contact or state.tracker.clamped):
-            return "the robot still moves" if state.moving else "the tool is on the object"
-        reason = self._poses.add(state, chunk, self._stamp_ns, self.parameters)
-        return self.order("follow", who) if reason is None and begins else reason
 
     def take_changes(self) -> list[Change]:
         """Return the changes of the operating state since the last call, oldest first."""

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from linemate.daemon.core import step as stepping
-from linemate.daemon.cycle import following_error, states, watch
-from linemate.daemon.cycle.following_error import FollowingCheck
+from linemate.daemon.cycle import operating, states, watch
 from linemate.daemon.cycle.operating import Operating
 from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.session import Session
+from linemate.daemon.cycle.steps import FollowingCheck
 from linemate.protocol.exchange import Exchange
 from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.rsi.telegram_reader import RobotReader
@@ -34,7 +34,7 @@ CALLED: tuple[tuple[Any, str], ...] = (
     (watch, "observe"),
     (states, "transition"),
     (states, "order"),
-    (following_error, "gap_after_stop"),
+    (operating, "gap_after_stop"),
     (stepping, "plan"),
     (stepping, "finish"),
 )
