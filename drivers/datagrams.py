@@ -25,6 +25,7 @@ SO_TIMESTAMPNS = 35  # not named by Python's socket module; asm-generic/socket.h
 SO_RXQ_OVFL = 40
 TRUNCATED = int(socket.MSG_TRUNC)  # an enumeration's & takes 4 us
 BUFFER_BYTES = 2048
+MAX_SELECTABLE = 1024  # select waits for descriptors below, with a resolution of microseconds
 MARGIN_NS = 10_000_000  # an accepted age may exceed the time since the socket was empty [ns]
 PAIR_TOLERANCE_NS = 50_000  # between two readings of the monotonic clock around the other [ns]
 
@@ -143,18 +144,21 @@ class DatagramSocket:
     """A bound, non-blocking UDP socket.
 
     Attributes:
+        is_selectable: ``wait`` can be called.
         kernel_drops: datagrams that the kernel dropped because the queue was full.
     """
 
     endpoint: socket.socket
     clock: ArrivalClock = field(default_factory=ArrivalClock)
     kernel_drops: int = 0
+    is_selectable: bool = field(init=False)
     _buffer: bytearray = field(default_factory=lambda: bytearray(BUFFER_BYTES))
     _descriptors: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         """Keep the descriptor for ``wait``."""
         self._descriptors = (self.endpoint.fileno(),)
+        self.is_selectable = self._descriptors[0] < MAX_SELECTABLE
 
     @classmethod
     def bound(cls, host: str, port: int) -> "DatagramSocket":

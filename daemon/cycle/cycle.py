@@ -265,7 +265,7 @@ class Cycle(RestingStepper):
         self._note_reply(arrived, peer)
         self._robot = robot
         self._joints = robot.joints
-        return reply.with_counter(telegram.echo)
+        return reply.head + telegram.echo + reply.tail
 
     def _note_reply(self, arrived: RobotSample, peer: Hashable) -> None:
         """Note the reply to a telegram that is proven to be the program's."""

@@ -13,6 +13,8 @@ from linemate.daemon.cycle import setpoint_reference as proving
 from linemate.daemon.cycle.setpoint_delivery import DeliveryCheck
 from linemate.daemon.cycle.setpoint_reference import (
     CONFIRMATIONS,
+    REST_S,
+    STILL,
     Axes,
     Continuation,
     Known,
@@ -28,8 +30,6 @@ __all__ = ["RESTART_PROGRAM", "Axes", "Session", "standing"]
 
 RESTART_PROGRAM = "Restart the controller's program: it must start while the daemon listens."
 _OFFSETS = ExchangeRules()
-REST_S = 0.12  # the axes are at rest if all telegrams of so long are ...
-STILL = 2e-4  # ... so near to each other [rad, m]
 # A reply that left so short before the next telegram came was superseded on its way [cycles].
 SUPERSEDED = 1 / 16
 
@@ -111,7 +111,7 @@ class Session:
         self._rules = rules
         self._cycle_s = cycle_s
         self._delay: int | None = None
-        self._delivery = DeliveryCheck(cycle_s)
+        self._delivery: DeliveryCheck | None = None  # for a controller that says where it sends
         self._heard_ns: int | None = None
         self._listening_ns: int | None = None
         self._program: Program | None = None
@@ -301,7 +301,7 @@ class Session:
         program, telegrams that came at once may be those of a robot that another daemon has led.
         """
         program = self._program
-        was_led = self._silence_s is None if program is None else _was_led(program, axes)
+        was_led = self._silence_s is None if program is None else proving.was_led(program, axes)
         if was_led and not self._has_rested(axes):
             why = "the setpoint in force is unknown: the robot still moves. Wait."
             self.decline(why, axes, peer)
@@ -328,7 +328,7 @@ class Session:
         candidate = self._candidate
         if start is not Start.NOT_SEEN:
             count = 1
-        elif candidate is not None and _agrees(candidate, robot, self._cycle_s):
+        elif candidate is not None and proving.agrees(candidate, robot, self._cycle_s):
             count = candidate.replies + 1
         else:
             self._candidate = None
@@ -393,7 +393,9 @@ class Session:
 
     def would_be_lost(self, sent_to: Axes) -> bool:
         """Return whether the last setpoint is lost, by where the servos are sent [rad, m]."""
-        return self.pending is not None and self._delivery.would_be_lost(self.pending, sent_to)
+        if self.pending is None or self._delivery is None:
+            return False
+        return self._delivery.would_be_lost(self.pending, sent_to)
 
     def settle(
         self, delay: int | None, cycles: int, stamp_ns: int, sent_to: Axes | None = None
@@ -422,18 +424,15 @@ class Session:
         answered_ns = stamp_ns if program is None else program.stamp_ns
         passed = (stamp_ns - answered_ns) * 1e-9 / self._cycle_s
         if given is None:
-            self._delivery.reset()
+            self._compare(None, sent_to)
             return False
         bad = 0 if delay is None or before is None else delay - before
         self.was_lost = bad == cycles or (bad > cycles and abs(passed - cycles) >= 1.0)
         # The controller has this cycle's reply when it looks again, and the late one never acted.
         replied_ns = answered_ns + self.turnaround_ns + round(SUPERSEDED * 1e9 * self._cycle_s)
         self.was_lost |= self._rules.newest_acts and replied_ns > stamp_ns
-        if sent_to is None or cycles != 1 or self.was_lost:
-            self._delivery.reset()
-        else:
-            self._delivery.add(given, sent_to)
-        if self._delivery.is_lost and sent_to is not None:
+        is_lost = self._compare(given if cycles == 1 and not self.was_lost else None, sent_to)
+        if is_lost and sent_to is not None:
             self.was_lost, self.applied = True, sent_to
         if self.was_lost:
             self.moves = False
@@ -442,7 +441,18 @@ class Session:
         else:
             self.applied = given
             self.unled = cycles - 1
-        return self.was_lost or self._delivery.is_doubtful
+        return self.was_lost or (self._delivery is not None and self._delivery.is_doubtful)
+
+    def _compare(self, given: Axes | None, sent_to: Axes | None) -> bool:
+        """Return whether setpoints are lost, by where the servos are sent; None ends a motion."""
+        if given is None or sent_to is None:
+            if self._delivery is not None:
+                self._delivery.reset()
+            return False
+        if self._delivery is None:
+            self._delivery = DeliveryCheck(self._cycle_s)
+        self._delivery.add(given, sent_to)
+        return self._delivery.is_lost
 
     def note_reply(
         self, command: Axes, robot: RobotSample, peer: Hashable, step: int | None
@@ -481,24 +491,6 @@ class Session:
     def refrain(self) -> None:
         """A cycle passed, or passes, without a command: the robot holds in it."""
         self.was_sent = self.moves = False
-
-
-def _was_led(program: Program, axes: Axes) -> bool:
-    """Return whether a robot was led since a program began, by this daemon or by its controller."""
-    ways = zip(axes, program.pending, strict=True)
-    return program.moved or any(abs(now - sent) >= STILL for now, sent in ways)
-
-
-def _agrees(candidate: Program, robot: RobotSample, cycle_s: float) -> bool:
-    """Return whether a telegram follows those of a start that is likely, answered all."""
-    passed_s = (robot.stamp_ns - candidate.stamp_ns) * 1e-9
-    step = robot.counter - candidate.counter
-    if step <= 0 or (candidate.step is not None and step % candidate.step):
-        return False
-    if robot.delay is None or candidate.delay is None:
-        return False
-    # Less: it counts cycles in a row, and the bare reply was one that counts.
-    return (robot.delay - candidate.delay) * cycle_s <= passed_s + 2.0 * cycle_s
 
 
 def standing(robot: RobotSample, held: Axes) -> RobotSample:

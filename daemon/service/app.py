@@ -131,14 +131,11 @@ class App:
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
         self._timer = self._cycle_timer(period_ns)
-        self.cycle.date = self._date
+        self.cycle.date = self._timer.lock.date
         self._collector = realtime.Collector()
         self._helpers = realtime.HelperThreads(realtime.is_fifo())
         self._times = CycleTiming(Timing(period_ns))
         self._incidents = IncidentFiles(incident_directory(station))
-        self._arrival: int | None = None
-        # Telegrams that were counted and then failed: the clock has not followed them.
-        self._unfollowed = 0
         self._began_ns = time.monotonic_ns()
         self._status_ns = 0
         self._telegram_ns: int | None = None
@@ -315,14 +312,13 @@ class App:
             reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
             self._failing_ns = stamp_ns
-            self._unfollowed += self.cycle.decision is not decision
+            self._timer.lock.unfollowed += self.cycle.decision is not decision
             self._failed(error)
             return None
         if reply is None:
             return None
         self._failing_ns = None
-        self._telegram_ns = stamp_ns
-        self._arrival = stamp_ns
+        self._telegram_ns = self._timer.lock.arrival_ns = stamp_ns
         if self.cycle.prepared == prepared:
             if is_answered and self._rest.is_between_looks(stamp_ns):
                 # Nothing but the clock waits for this telegram: a turn of the loop costs 20 us.
@@ -352,24 +348,17 @@ class App:
         self._robot.poll()
         self._follow()
 
-    def _date(self, stamp_ns: int, cycles: int) -> int:
-        """Return the start of the controller's cycle of a telegram [ns]."""
-        if self._arrival is not None:
-            return stamp_ns  # the clock has not followed the previous telegram yet
-        return self._timer.lock.date(stamp_ns, cycles + self._unfollowed)
-
     def _follow(self) -> None:
         """Let the clock follow the answered telegram, after the reply."""
-        stamp_ns, self._arrival = self._arrival, None
-        decision = self.cycle.decision
+        lock, decision = self._timer.lock, self.cycle.decision
+        stamp_ns, lock.arrival_ns = lock.arrival_ns, None
         if stamp_ns is None or decision is None:
             return
-        self._times.note_schedule(self._timer.lock)
-        lock = self._timer.lock
+        self._times.note_schedule(lock)
         restarts = decision.kind in {Telegram.FIRST, Telegram.NEW_SESSION}
-        cycles, ahead = decision.missed + 1 + self._unfollowed, self.cycle.exchange.ahead
+        cycles, ahead = decision.missed + 1 + lock.unfollowed, self.cycle.exchange.ahead
         lock.follow(stamp_ns, cycles, ahead=ahead, restarts=restarts)
-        self._unfollowed = 0
+        lock.unfollowed = 0
         if not lock.is_slow:
             # Else the clock finds out when it wakes: each call costs 18 us.
             self._timer.arm()

@@ -26,7 +26,6 @@ from linemate.protocol.controller_link import ReadyReply
 BUDGET = 64  # datagrams read at once
 SENDERS = 4  # distinguished in one read
 LOOK_BACK = 4  # datagrams of one sender that may be tried
-MAX_SELECTABLE = 1024  # select waits for descriptors below, with a resolution of microseconds
 WARM_UP_NS = 150_000  # a comparison before the telegram comes takes less than this
 SILENCE_S = 0.1  # of the controller, before the exchange accepts another one
 
@@ -107,7 +106,7 @@ class RobotLink(DatagramLink):
             until_ns: when to give up [ns].
         """
         transport = self._socket
-        if transport is None or transport.fileno() >= MAX_SELECTABLE:
+        if transport is None or not transport.is_selectable:
             return False
         try:
             ready = self._valid_ready_reply()

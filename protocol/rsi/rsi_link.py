@@ -16,7 +16,7 @@ from linemate.protocol.controller_link import (
     PreparedReply,
     SetpointKind,
 )
-from linemate.protocol.rsi.codec import RobotTelegram, RsiCodec, RsiError, SensorTelegram
+from linemate.protocol.rsi.codec import RsiCodec, RsiError, SensorTelegram
 from linemate.protocol.rsi.telegram_layout import EXTERNAL_AXES
 from linemate.protocol.rsi.telegram_reader import ExpectedTelegram
 from linemate.protocol.stamped_samples import RobotSample, Vector6
@@ -88,18 +88,11 @@ class RsiLink:
             delay=telegram.delay,
             digital_in=int(signals) if isinstance(signals, (int, float)) else 0,
         )
-        return ControllerTelegram(
-            telegram.ipoc, telegram.ipoc_text, robot, self._programmed(telegram)
-        )
-
-    def _programmed(self, telegram: RobotTelegram) -> tuple[float, ...] | None:
-        """Return the programmed position of the axes, None if the telegram does not have it."""
-        if telegram.joint_setpoints is None:
-            return None
-        if not self._is_on_rail:
-            return telegram.joint_setpoints
-        external = telegram.external_setpoints
-        return None if not external else (*telegram.joint_setpoints, external[0])
+        programmed: tuple[float, ...] | None = telegram.joint_setpoints
+        if programmed is not None and self._is_on_rail:
+            rail = telegram.external_setpoints
+            programmed = (*programmed, rail[0]) if rail else None
+        return ControllerTelegram(telegram.ipoc, telegram.ipoc_text, robot, programmed)
 
     def expect(
         self,

@@ -281,6 +281,8 @@ class PhaseLock:
         lead_ns: how long before that its step is prepared [ns]; 0: never.
         is_locked: telegrams set the phase; else the grid runs free.
         skipped: cycles after stalls for which no step was made.
+        arrival_ns: of the answered telegram that is to be followed, None without one [ns].
+        unfollowed: cycles of telegrams that were counted and then failed.
     """
 
     def __init__(self, period_ns: int, now_ns: int, lead_ns: int | None = 0) -> None:
@@ -305,7 +307,8 @@ class PhaseLock:
         self.lead_ns = lead_ns
         self.next_ns = now_ns + period_ns
         self.is_locked = self._is_prepared = self._is_attended = False
-        self.skipped = self._rest_ns = self._slow_ns = 0
+        self.skipped = self.unfollowed = self._rest_ns = self._slow_ns = 0
+        self.arrival_ns: int | None = None
         self._set_period(period_ns)
 
     def follow(
@@ -342,7 +345,9 @@ class PhaseLock:
             stamp_ns: the telegram's arrival [ns].
             cycles: since the telegram before, by their counters.
         """
-        expected_ns = self.estimate.expected_ns(cycles)
+        if self.arrival_ns is not None:
+            return stamp_ns
+        expected_ns = self.estimate.expected_ns(cycles + self.unfollowed)
         if expected_ns is None or not self.is_locked or self.estimate.refusal:
             return stamp_ns
         return expected_ns if 0 < stamp_ns - expected_ns <= LATEST_NS else stamp_ns
