@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import documents, files, overlays
-from linemate.daemon.config.controllers.controller_section import ControllerFile, default_port
+from linemate.daemon.config.controller_section import ControllerFile, default_port
 from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles

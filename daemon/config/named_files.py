@@ -9,9 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import files, section_checks, task_file, timeouts
-from linemate.daemon.config.controllers import controller_section
-from linemate.daemon.config.controllers.controller_section import ControllerFile
+from linemate.daemon.config import controller_section, files, section_checks, task_file, timeouts
+from linemate.daemon.config.controller_section import ControllerFile
 from linemate.daemon.config.documents import Complaint, FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys

@@ -1,4 +1,4 @@
-"""Checks of a configuration's addresses, ports, directories and groups.
+"""Checks of a configuration's addresses, ports, directories and groups, and of a task's gates.
 
 Invariants:
 - Values of the wrong kind are passed over. ``documents.fill`` refuses them.
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from linemate.daemon.config.documents import Complaint
+from linemate.daemon.core.tracking.task import Gate, TaskFile
 from linemate.protocol.numeric_peer import parse_peer
 
 T = TypeVar("T")
@@ -191,3 +192,14 @@ def group_ids(names: Iterable[str]) -> frozenset[int]:
     if unknown:
         raise ValueError(f"no such group: {', '.join(unknown)}. Make it, or give its number")
     return frozenset(ids)
+
+
+def waiting_gates(task: TaskFile) -> Iterator[tuple[str, str]]:
+    """Yield each gate that waits for a signal: what waits for what, and the key to set instead."""
+    for i, waypoint in enumerate(task.waypoints):
+        instead = {
+            Gate.SCREWS_FIXED: ("fixed_after", task.tool.fixed_after),
+            Gate.WHEEL_RELEASED: ("released_after", task.tool.released_after),
+        }.get(waypoint.gate)
+        if instead is not None and instead[1] is None:
+            yield f"waypoints[{i}] waits for {waypoint.gate}", f"tool.{instead[0]}"

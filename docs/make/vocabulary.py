@@ -176,7 +176,9 @@ FAMILY_WORD = re.compile(
 )
 FAMILY_PLACES = (
     "protocol/rsi/",
-    "daemon/config/controllers/",
+    "daemon/config/controller_section.py",
+    "daemon/config/rsi_section.py",
+    "daemon/operator/robot/rsi_lint.py",
     # The section `rsi` of the configuration, the kinds of controllers and the command `rsi`.
     "daemon/config/config.py",
     "daemon/config/section_checks.py",

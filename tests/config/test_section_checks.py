@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 from linemate.daemon.config import task_file
-from linemate.daemon.config.controllers.signal_gates import waiting_gates
 from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.config.section_checks import waiting_gates
 
 WHEEL = task_file.load(DAEMON_DATA / "wheel.yaml").file
 

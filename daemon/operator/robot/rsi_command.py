@@ -7,11 +7,11 @@ from typing import Any, Final
 
 from linemate.daemon.command_line import NO, OK, NegativeError, UsageError
 from linemate.daemon.config import documents, files, task_file
-from linemate.daemon.config.controllers import rsi_lint
 from linemate.daemon.config.files import PROTOCOL_DATA, UnreadableError
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.operator import render
+from linemate.daemon.operator.robot import rsi_lint
 from linemate.protocol.rsi.ethernet_config import MAX_CONFIG_BYTES
 
 KUKA: Final = PROTOCOL_DATA / "kuka"

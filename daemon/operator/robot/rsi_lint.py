@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from linemate.daemon.config.controllers import rsi_check
+from linemate.daemon.config import rsi_section
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.protocol.rsi.codec import RsiCodec
@@ -59,14 +59,14 @@ def lint(
         RsiCodec(rsi)
     except RsiError as error:
         return [LintFinding(_line_of_error(text, error), str(error))]
-    whats = [*rsi_check.unfilled(rsi, constants or {})]
-    whats += rsi_check.exchange_errors(rsi, corrections)
-    whats += [f"{tag}: {what}" for tag, what in rsi_check.constant_errors(rsi, constants or {})]
-    missing = rsi_check.missing_axes(rsi, linear_axis=task is not None and task.arm.linear_axis)
+    whats = [*rsi_section.unfilled(rsi, constants or {})]
+    whats += rsi_section.exchange_errors(rsi, corrections)
+    whats += [f"{tag}: {what}" for tag, what in rsi_section.constant_errors(rsi, constants or {})]
+    missing = rsi_section.missing_axes(rsi, linear_axis=task is not None and task.arm.linear_axis)
     if missing:
         whats.append(f"the arm needs {', '.join(missing)}")
     if task is not None:
-        whats += rsi_check.gate_errors(rsi, task)
+        whats += rsi_section.gate_errors(rsi, task)
     findings = [LintFinding(_line_of(text, what), what) for what in whats]
     return sorted(findings, key=lambda finding: finding.line or 0)
 

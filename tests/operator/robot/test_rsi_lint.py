@@ -5,9 +5,9 @@ import re
 import pytest
 
 from linemate.daemon.config import task_file
-from linemate.daemon.config.controllers import rsi_lint
 from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.config.settings import Corrections
+from linemate.daemon.operator.robot import rsi_lint
 
 GOOD = (PROTOCOL_DATA / "rsi_joints.xml").read_bytes()
 WHEEL = task_file.load(DAEMON_DATA / "wheel.yaml").file
