@@ -27,16 +27,39 @@ class AcyclicModules(Contract):
 
     def check(self, graph: ImportGraph, verbose: bool) -> ContractCheck:  # noqa: ARG002
         """Return whether there is no circle, or the first one."""
-        imports = {name: graph.find_modules_directly_imported_by(name) for name in graph.modules}
+        imports: dict[str, set[str]] = {}
+        for name in graph.modules:
+            others = graph.find_modules_directly_imported_by(name)
+            place = self.place_of(name, graph)
+            imports.setdefault(place, set()).update(self.place_of(n, graph) for n in others)
         try:
-            TopologicalSorter(imports).prepare()
+            TopologicalSorter({name: mine - {name} for name, mine in imports.items()}).prepare()
         except CycleError as error:
             return ContractCheck(kept=False, metadata={"circle": error.args[1]})
         return ContractCheck(kept=True)
 
+    def place_of(self, module: str, graph: ImportGraph) -> str:  # noqa: ARG002
+        """Return what must not stand in a circle for a module: itself."""
+        return module
+
     def render_broken_contract(self, check: ContractCheck) -> None:
         """Print the circle."""
         output.print_error(" -> ".join(check.metadata["circle"]))
+
+
+class OneWayPackages(AcyclicModules):
+    """Contract: no package imports itself by way of others, its own parts included."""
+
+    whole = fields.SetField(subfield=fields.StringField(), required=False)
+    """Packages that count as one with their parts: between these, circles are left."""
+
+    def place_of(self, module: str, graph: ImportGraph) -> str:
+        """Return the package of a module."""
+        if graph.is_module_squashed(module):
+            return module
+        package = module if graph.find_children(module) else module.rpartition(".")[0]
+        wholes = self.whole or set()
+        return next((w for w in wholes if f"{package}.".startswith(f"{w}.")), package)
 
 
 class SmallPackages(Contract):
