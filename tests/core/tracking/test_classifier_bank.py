@@ -226,9 +226,9 @@ def test_a_shorter_cycle_has_no_more_hypotheses_than_one_of_4_ms(dt: float) -> N
     assert np.diff(bank.age) == pytest.approx(np.full(len(bank) - 1, spacing))
     assert len(bank) == round(longest / spacing)
     assert bank.age[0] <= spacing + 1e-9
-    # Too young for evidence, each has the likelihood 1: what the odds are then.
+    # Too young for evidence, each has the likelihood 1: the odds are then those of the time alone.
     odds = onset_bank.posterior(bank, onset_bank.AmplitudePrior(1.0, 1e-12)).odds
-    assert odds == pytest.approx(math.log(len(bank)), abs=1e-6)
+    assert odds == pytest.approx(math.log(len(bank) * spacing / 0.012), abs=1e-6)
 
 
 @pytest.mark.parametrize("omegas", [(0.0,), (3.0, 9.0)])
@@ -247,7 +247,7 @@ def test_a_full_bank_leaves_out_old_onsets_and_keeps_their_weight(
     assert (bank.omega.reshape(-1, len(omegas)) == omegas).all()
     assert 1.3 < ages[-1] <= longest
     odds = onset_bank.posterior(bank, onset_bank.AmplitudePrior(1.0, 1e-12)).odds
-    assert odds == pytest.approx(math.log(len(omegas) * longest / 0.004), abs=0.15)
+    assert odds == pytest.approx(math.log(len(omegas) * longest / 0.012), abs=0.15)
 
 
 def measured_row(value: float) -> list[PositionMeasurement]:

@@ -25,6 +25,10 @@ from linemate.daemon.core.horizon import Array
 # Time between two onsets [s], or a cycle. Each adds its likelihood to the odds, 1 while it is too
 # young for evidence: with one a millisecond the odds of a steady conveyor were 4.8 instead of 2.8.
 SPACING_S = 0.004
+# Time for which an onset counts as one. How likely a conveyor stops does not depend on the cycle:
+# with each onset as one, every stop was e times as likely at 4 ms as at 12 ms.
+COUNTED_S = 0.012
+LEAST_SHARE = 1e-6  # by which the share of an onset differs from 1
 MOST = 125  # hypotheses of a bank; a cycle of 12 ms has so many in 1.5 s without leaving one out
 # Largest distance of two onsets over their age in a full bank, times ``MOST``: 6 % of the age. That
 # makes the way of a change uncertain by 6 % at most, where its acceleration is by 15 %.
@@ -38,7 +42,8 @@ class OnsetBank(Struct, frozen=True, eq=False):
         error: f (n, m), error of the null filter for amplitude 1, as far as F propagates it.
         sums: (4, m): A and B, the evidence; the time since each onset [s]; the frequency of the
             impulse response [rad/s], 0 for a change of class.
-        shares: (m,) number of onsets that each stands for; None while it is 1 for all.
+        shares: (m,) number of onsets, each of ``COUNTED_S``, that each stands for; None while it
+            is 1 for all.
     """
 
     error: Array
@@ -124,7 +129,9 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
         longest: age of the oldest onset [s].
     """
     stride = max(1, round(SPACING_S / dt))
-    shares = bank.shares
+    share, shares = stride * dt / COUNTED_S, bank.shares
+    if shares is None and abs(share - 1.0) > LEAST_SHARE:
+        shares = np.full(len(bank), share)
     if len(bank) and bank.sums[2, 0] < (stride - 0.5) * dt:
         error, sums = F.dot(bank.error), bank.sums.copy()
     else:
@@ -133,7 +140,7 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
         error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
         sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
         if shares is not None:
-            shares = np.concatenate((np.ones(len(onsets)), shares[:keep]))
+            shares = np.concatenate((np.full(len(onsets), share), shares[:keep]))
     age = sums[2]
     age += dt
     later = OnsetBank(error, sums, shares)
