@@ -315,7 +315,7 @@ class BankModel:
         return state.sway_omega * complex(-self.sway.damping, 1.0)
 
     def _set_sway(self, F: Array, state: BankState, dt: float) -> None:
-        """Set the rows of the sway in A: it turns, and the conveyor's acceleration forces it."""
+        """Set the rows of the sway in A: it turns, and the unit's acceleration forces it."""
         omega, pole, values = state.sway_omega, self.sway_pole(state), state.x.tolist()
         turn = cmath.exp(pole * dt)
         c, s = turn.real, turn.imag
@@ -326,14 +326,32 @@ class BankModel:
             values[GAIN],
             omega * dt,
         )
-        a = values[ACCELERATION]
+        a = self.unit_acceleration(state)
         F[SWAY, SWAY] = F[SWAY_QUADRATURE, SWAY_QUADRATURE] = c
         F[SWAY, SWAY_QUADRATURE], F[SWAY_QUADRATURE, SWAY] = s, -s
         F[SWAY, ACCELERATION] = gain * forced.real
         F[SWAY_QUADRATURE, ACCELERATION] = -gain * forced.imag
+        of_ripple = gain * self._ripple_stiffness(state)
+        F[SWAY, RIPPLE], F[SWAY_QUADRATURE, RIPPLE] = (
+            -of_ripple * forced.real,
+            of_ripple * forced.imag,
+        )
         F[SWAY, GAIN], F[SWAY_QUADRATURE, GAIN] = a * forced.real, -a * forced.imag
         F[SWAY, PACE] = way * (c * quadrature - s * sway)
         F[SWAY_QUADRATURE, PACE] = gain * a * dt / omega - way * (c * sway + s * quadrature)
+
+    def _ripple_stiffness(self, state: BankState) -> float:
+        """Return how much the unit accelerates against its ripple, for each metre of it [1/s^2]."""
+        return self.speed_share(float(state.x[V])) * self.ripple_omega(state) ** 2
+
+    def unit_acceleration(self, state: BankState) -> float:
+        """Return the acceleration of the conveyor's unit, by class and periodic ripple [m/s^2].
+
+        A chain or a drive excites the body's sway long before the first stop, often near its own
+        frequency. That shows the gain with which a stop will excite it.
+        """
+        ripple = self._ripple_stiffness(state) * float(state.x[RIPPLE])
+        return float(state.x[ACCELERATION]) - ripple
 
     def advanced(self, state: BankState, F: Array, dt: float) -> Array:
         """Return the states (15,) of (5).
@@ -342,7 +360,7 @@ class BankModel:
         product twice.
         """
         x: Array = F.dot(state.x)
-        product = float(state.x[GAIN] * state.x[ACCELERATION])
+        product = float(state.x[GAIN]) * self.unit_acceleration(state)
         if product:
             pole = self.sway_pole(state)
             forced = product * complex(sway_bank.response(state.sway_omega, pole, dt))

@@ -5,8 +5,9 @@ accelerates. Camera and force-torque sensor see the body, the distance sensor se
 
     s'' + 2 zeta w s' + w^2 s = -g a(t)
 
-Here s is the sway [m], a the acceleration of the class in force, and g the gain, about 1 for a
-pendulum. With the pole p = -zeta w + i w and Z = s - i s'/w this is one complex number:
+Here s is the sway [m], a the acceleration by the class in force and by the ripple, and g the gain,
+about 1 for a pendulum. With the pole p = -zeta w + i w and Z = s - i s'/w this is one complex
+number:
 
     Z(t + dt) = e^(p dt) Z(t) + g a B(dt),    B(t) = (i / w) (e^(p t) - 1) / p.
 
@@ -34,10 +35,10 @@ FARTHEST = 0.05  # of the body from where it was first seen [m]
 TERMS = 5  # offset [m], drift [m/s], gain, and the two parts of a free sway [m]
 GAIN = 2
 OFFSET_DEVIATION, DRIFT_DEVIATION, FREE_DEVIATION = 0.005, 0.003, 0.002
-# Prior gain of a sway that is not identified. What the conveyor carries is excited by its ramps: a
-# pendulum with 1, a point off the antinode of a mode with less. With a prior of 0 +- 1 a stop's
-# sway was not predicted for 0.25 s, and then with a gain of 1.8 instead of 1.
-CARRIED_GAIN, GAIN_DEVIATION = 0.8, 0.5
+# Prior gain of a sway that is not identified. The conveyor accelerates the whole body, so the gains
+# of all its modes are 1 together, at each point; one mode that is seen has most of that. With a
+# deviation of 0.5 the gain took up what is an error of the frequency.
+CARRIED_GAIN, GAIN_DEVIATION = 1.0, 0.2
 READING_S = 0.02  # least time between two readings that are used [s]
 EVALUATION_S = 0.15  # between two evaluations of the grid [s]
 FLOOR = 0.00015  # of a reading's sigma: what a unit moves that its class does not [m]
@@ -150,13 +151,24 @@ def _steps(settings: SwaySettings, dt: float) -> tuple[ComplexArray, ComplexArra
 
 
 def predict(
-    settings: SwaySettings, bank: SwayBank, dt: float, acceleration: float, *, stands: bool
+    settings: SwaySettings,
+    bank: SwayBank,
+    dt: float,
+    acceleration: float,
+    *,
+    stands: bool,
+    ripple: float = 0.0,
 ) -> SwayBank:
-    """Return the bank one step later, under an acceleration of the conveyor [m/s^2]."""
+    """Return the bank one step later.
+
+    Args:
+        acceleration: of the conveyor by the class in force [m/s^2].
+        ripple: what its ripple adds [m/s^2].
+    """
     turn, free, forced = _steps(settings, dt)
     now = bank.forced * turn
-    if acceleration:
-        now += acceleration * forced
+    if acceleration or ripple:
+        now += (acceleration + ripple) * forced
     return SwayBank(
         forced=now,
         free=bank.free * free,

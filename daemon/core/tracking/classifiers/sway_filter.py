@@ -41,6 +41,7 @@ TOUCHED = 0.001  # one sigma of what the body has moved unseen when the tool tou
 SETTLED_S = 0.6  # after which the speed is estimated [s]
 LEAST_SPREAD = 0.01  # of the frequency, as a share
 RAMP_S = 0.05  # one sigma of when a ramp ends: it coasts, or is smooth [s]
+CAUTION = 2.5  # times the deviation of a gain that no recording shows, for what may go wrong
 JUMP = 0.1  # of the logarithm of the frequency in a step, which only another sway makes
 GAIN_PART = 2  # place of the gain in a fit
 LEAST_OFFSET = 0.001  # that is corrected at once; the filter corrects the rest [m]
@@ -54,7 +55,10 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
         return state
     acceleration = float(state.x[ACCELERATION]) if state.motion in RAMPS else 0.0
     stands = state.motion is Motion.STANDING
-    sways = sway_bank.predict(model.sway, state.sways, dt, acceleration, stands=stands)
+    ripple = model.unit_acceleration(state) - float(state.x[ACCELERATION])
+    sways = sway_bank.predict(
+        model.sway, state.sways, dt, acceleration, stands=stands, ripple=ripple
+    )
     return replace(state, sways=sways)
 
 
@@ -113,8 +117,10 @@ def unknown_sway(model: BankModel, state: BankState) -> float:
     """
     settings, omega = model.sway, state.sway_omega
     if omega:
-        shape = min(omega * RAMP_S, 1.0) if settings.frequency_hz else 0.0
-        return 2.0 * math.hypot(math.sqrt(max(float(state.P[GAIN, GAIN]), 0.0)), shape) / omega**2
+        is_known = settings.frequency_hz > 0.0
+        shape = min(omega * RAMP_S, 1.0) if is_known else 0.0
+        gain = math.sqrt(max(float(state.P[GAIN, GAIN]), 0.0))
+        return 2.0 * math.hypot(gain if is_known else CAUTION * gain, shape) / omega**2
     if settings.frequency_hz:  # known, but not followed
         omega = 2.0 * math.pi * settings.frequency_hz
         return 2.0 * math.hypot(settings.gain, settings.gain_deviation) / omega**2
