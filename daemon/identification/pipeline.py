@@ -132,6 +132,9 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         own = overlay.setdefault("tracking", {})
         kept_swings = own.get("swing") or [_plain(mode) for mode in cell.tracking.swing]
         own["swing"] = [*kept_swings, *(_plain(mode) for mode in across)]
+    if any(result.friction.level for result in servos):
+        rubbing = [_plain(result.friction) for result in servos]
+        overlay.setdefault("control", {})["friction"] = rubbing
     if windup.axes:
         overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
     findings = (
@@ -416,6 +419,9 @@ def _servo_findings(servos: Sequence[ServoResult]) -> list[ReportLine]:
                 ReportLine(f"{name} damping", "", 1.0, result.damping, in_overlay),
                 ReportLine(f"{name} dead time", "ms", 1e3, result.dead_time, in_overlay),
             ]
+        rubs = result.friction.level > 0.0
+        unit = "mm" if result.axis == 6 else "mrad"
+        lines += [ReportLine(f"friction {AXES[result.axis]}", unit, 1e3, result.level, rubs)]
     return lines
 
 

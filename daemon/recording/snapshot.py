@@ -27,6 +27,7 @@ _ROOT = "linemate.daemon.core."
 _PARTS = {
     "control.controller:ControlState": "control.controller:ControlState",
     "control.dead_time:DriftState": "control.dead_time:DriftState",
+    "control.friction:FrictionState": "control.friction:FrictionState",
     "control.limits:GateState": "control.command_limiter:LimiterState",
     "control.windup:WindupState": "control.windup:WindupState",
     "followed_poses:FollowedPoses": "followed_poses:FollowedPoses",

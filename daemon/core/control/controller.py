@@ -15,6 +15,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import (
     command_limiter,
     dead_time,
+    friction,
     gravity_bend,
     inverse_filter,
     tcp_limit,
@@ -23,6 +24,7 @@ from linemate.daemon.core.control import (
 from linemate.daemon.core.control.axis_limits import Limits
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.control.dead_time import DriftModel, DriftState
+from linemate.daemon.core.control.friction import FrictionState, RubbingDrives
 from linemate.daemon.core.control.gravity_bend import BentArm
 from linemate.daemon.core.control.kinematics import Arm, UnreachableError
 from linemate.daemon.core.control.settings import BrakeSettings, ControlSettings
@@ -50,6 +52,7 @@ class Controller:
         spreading: (m,) weights of the last commands, newest first; one of them from 4 ms on.
         windup: of the axes, None for an arm whose links are where its motors are.
         bend: of the gears under weight, None for stiff ones.
+        friction: of the drives, None if none rubs.
         drift: of the dead times; None if they are fixed.
         limits: of the command limiter.
         gentle: with which a hold comes to rest.
@@ -70,6 +73,7 @@ class Controller:
     steps: int
     windup: Windup | None = None
     bend: BentArm | None = None
+    friction: RubbingDrives | None = None
     drift: DriftModel | None = None
     spreading: Array = field(default_factory=lambda: np.ones(1))
 
@@ -100,6 +104,7 @@ class ControlState(Struct, frozen=True, eq=False):
         windup: of the oldest of ``past_joints``, which are positions of the links.
         commands: (m - 1, axes) the last ones before they were spread, newest first.
         drift: of the dead times; None if they are fixed.
+        friction: of the drives; None if none rubs.
     """
 
     past_poses: Array
@@ -110,6 +115,7 @@ class ControlState(Struct, frozen=True, eq=False):
     windup: WindupState | None = None
     commands: Array | None = None
     drift: DriftState | None = None
+    friction: FrictionState | None = None
 
 
 def compile_controller(
@@ -173,6 +179,7 @@ def compile_controller(
         steps=max(needed, math.ceil(settings.horizon_s / cycle_s)),
         windup=windup.compile_windup(settings.windup, arm.axes),
         bend=gravity_bend.compile_bend(settings.bend, arm),
+        friction=friction.compile_friction(settings.friction, settings.servos, arm.axes, cycle_s),
         drift=dead_time.compile_drift(settings, arm.axes, cycle_s),
         spreading=inverse_filter.spreading(cycle_s) if settings.feed_forward else np.ones(1),
     )
@@ -227,6 +234,7 @@ def at_rest(
         windup=wound,
         commands=np.tile(joints, (len(controller.spreading) - 1, 1)),
         drift=drift,
+        friction=friction.begin(controller.friction, joints),
     )
 
 
@@ -325,7 +333,11 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
     taps = controller.servo
     if controller.drift is not None and state.drift is not None:
         taps = dead_time.servo_taps(controller.drift, state.drift)
-    command = np.add.reduce(taps * motors)
+    command, rubbed = np.add.reduce(taps * motors), state.friction
+    if controller.friction is not None and rubbed is not None:
+        drift_s = 0.0 if state.drift is None else state.drift.drift
+        planned = motors[controller.servo_past :]
+        command, rubbed = friction.overcome(controller.friction, rubbed, planned, command, drift_s)
     commands = state.commands
     if commands is not None and len(commands):
         recent = np.concatenate((command[None], commands))
@@ -339,6 +351,7 @@ def desire_command(controller: Controller, state: ControlState, horizon: Horizon
         windup=wound,
         commands=commands,
         drift=state.drift,
+        friction=rubbed,
     )
     return DesiredCommand(later, command)
 

@@ -6,7 +6,7 @@ without noise to answers with noise: the inverse regression is biased by the ans
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ from linemate.daemon.core.horizon import Array
 
 Mask = NDArray[np.bool_]
 Residuals = Callable[[Array], Array]  # from free parameters (3,) to residuals (m,)
+# From a model and the positions (n,) that it gives to what else moves the axis, of unknown size.
+Disturbance = Callable[[ServoModel, Array], Array]
 
 FREQUENCY_HZ = (0.5, 25.0)
 DAMPING = (0.2, 2.0)
@@ -55,6 +57,7 @@ class ServoFit:
         rows: number of answers that were used.
         left_out: number of answers excluded as outliers.
         converged: the iteration converged within the bounds.
+        disturbed: multiple of the disturbance, and its deviation; 0 without one.
     """
 
     model: ServoModel
@@ -64,6 +67,7 @@ class ServoFit:
     rows: int
     left_out: int
     converged: bool
+    disturbed: tuple[float, float] = (0.0, 0.0)
 
 
 def simulate(model: ServoModel, commands: Array, cycle_s: float) -> Array:
@@ -80,7 +84,10 @@ def settling_steps(model: ServoModel, cycle_s: float) -> int:
 
 
 def fit(
-    passages: Sequence[Passage], cycle_s: float, start: ServoModel | None = None
+    passages: Sequence[Passage],
+    cycle_s: float,
+    start: ServoModel | None = None,
+    disturbance: Disturbance | None = None,
 ) -> ServoFit | None:
     """Return the model with the least squared error; outliers are excluded.
 
@@ -89,6 +96,7 @@ def fit(
 
     Args:
         start: first guess; without one a coarse grid is searched.
+        disturbance: its size is fitted with the model.
 
     Returns:
         The fit, or None where there are too few answers.
@@ -104,14 +112,17 @@ def fit(
     if sum(int(mask.sum()) for mask in masks) < 20:
         return None
 
-    def residuals(theta: Array) -> Array:
+    def parts(theta: Array) -> tuple[Array, Array | None]:
         model = _model(theta)
-        return np.concatenate(
-            [
-                _centred(passage.answers - simulate(model, passage.commands, cycle_s), mask)
-                for passage, mask in zip(passages, masks, strict=True)
-            ]
-        )
+        moved = [simulate(model, passage.commands, cycle_s) for passage in passages]
+        e = _joined([p.answers - q for p, q in zip(passages, moved, strict=True)], masks)
+        if disturbance is None:
+            return e, None
+        return e, _joined([disturbance(model, q) for q in moved], masks)
+
+    def residuals(theta: Array) -> Array:
+        e, column = parts(theta)
+        return e if column is None else e - _size_of(column, e) * column
 
     if start is None:
         start = min(STARTS, key=lambda model: float(np.sum(residuals(_theta(model)) ** 2)))
@@ -122,7 +133,23 @@ def fit(
         left_out += dropped
         if not dropped:
             break
-    return _summary(passages, masks, residuals, theta, cycle_s, left_out, converged)
+    fitted = _summary(passages, masks, residuals, theta, cycle_s, left_out, converged)
+    e, column = parts(theta)
+    if fitted is None or column is None:
+        return fitted
+    size, rest = _size_of(column, e), residuals(theta)
+    spread = math.sqrt(max(float(column @ column), 1e-300) / _coloured(rest))
+    return replace(fitted, disturbed=(size, fitted.residual / spread))
+
+
+def _size_of(column: Array, e: Array) -> float:
+    """Return the multiple of a column (m,) that explains most of residuals (m,)."""
+    weight = float(column @ column)
+    return float(column @ e) / weight if weight > 0.0 else 0.0
+
+
+def _joined(rows: Sequence[Array], masks: Sequence[Mask]) -> Array:
+    return np.concatenate([_centred(row, mask) for row, mask in zip(rows, masks, strict=True)])
 
 
 def _summary(

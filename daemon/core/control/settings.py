@@ -64,6 +64,22 @@ class AxisWindup:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisFriction:
+    """Friction in the drive of one axis, which its encoder sees as a following error.
+
+    Attributes:
+        level: following error by sliding friction before the integral action removes it [rad] or
+            [m]; 0 for an axis that does not rub. ``linemate identify`` finds it.
+        travel: way after a reversal in which 63 % of the change take place [rad] or [m].
+        recovery_s: time constant of the controller's integral action [s].
+    """
+
+    level: Annotated[float, Ge(0.0), Le(0.005)] = 0.0
+    travel: Annotated[float, Ge(1e-5), Le(0.01)] = 1e-4
+    recovery_s: Annotated[float, Ge(0.02), Le(10.0)] = 0.3
+
+
+@dataclass(frozen=True, slots=True)
 class AxisLoad:
     """Weight that turns with an axis: a part of the arm, or the tool with what it carries.
 
@@ -202,6 +218,7 @@ class ControlSettings:
         drift: of the dead times; left out: they are fixed.
         windup: of each axis; left out: the links are where the motors are.
         bend: of the gears under weight.
+        friction: of each axis; left out: no drive rubs.
         limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
             comes on top of it [m/s].
@@ -215,6 +232,7 @@ class ControlSettings:
     drift: DeadTimeDrift = DeadTimeDrift()
     windup: Annotated[tuple[AxisWindup, ...], Len(0, 7)] = ()
     bend: GravityBend = GravityBend()
+    friction: Annotated[tuple[AxisFriction, ...], Len(0, 7)] = ()
     limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()
     brake: BrakeSettings = BrakeSettings()

@@ -65,7 +65,7 @@ def follow(windup: Windup, state: WindupState, motors: Array) -> WindupState:
     """Return the state after a way of the motors (axes,) in one direction."""
     values = motors.tolist()
     rows = [
-        _turned(x, w, values[axis] - x, travel)
+        turned(x, w, values[axis] - x, travel)
         for axis, x, w, travel in zip(
             windup.axes, state.motor, state.w, windup.travels, strict=True
         )
@@ -111,14 +111,14 @@ def _led(
         way = q + depth * w - x
         # The motor has to go farther than the link by what winds up on the way.
         slope = depth * (1.0 - math.copysign(w, w * way)) / travel
-        x, w = _turned(x, w, way / (1.0 - min(slope, LARGEST_SLOPE)), travel)
+        x, w = turned(x, w, way / (1.0 - min(slope, LARGEST_SLOPE)), travel)
         if len(led) == 1:
             later = x, w
         led.append(q + depth * w)
     return led, later
 
 
-def _turned(x: float, w: float, way: float, travel: float) -> tuple[float, float]:
+def turned(x: float, w: float, way: float, travel: float) -> tuple[float, float]:
     """Return position and windup after a way, of which the last ``JITTER`` is not taken in."""
     way = way - math.copysign(JITTER, way) if abs(way) > JITTER else 0.0
     if way == 0.0:
