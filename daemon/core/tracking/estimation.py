@@ -39,6 +39,7 @@ from linemate.daemon.core.tracking.touch import (
     bolt_search,
     compliance,
     force_sign,
+    held_bolts,
     release,
     tare,
 )
@@ -58,6 +59,7 @@ _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
 DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
+HELD_GATE = 5.0  # of a place that bolts in their holes show [sigma]
 BLIND_S = 0.06  # without a distance for longer than this the object is not seen [s]
 
 
@@ -109,6 +111,7 @@ def estimate(
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
         row = _along_measurement(tracker, transverse, source, measured, gate)
         rows.append(row if source is Source.CAMERA else _felt_row(state, row, oscillation))
+    transverse = _correct_held(tracker, state, transverse, history, samples, wrench, rows)
     conveyor, readings = state.conveyor, state.readings
     if conveyor is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
@@ -510,6 +513,43 @@ def is_seated(tracker: Tracker, state: TrackerState) -> bool:
     """
     sooner = tracker.cycle_s if state.blind_s > BLIND_S else 0.0
     return state.contact and state.touching >= SEATING_S - sooner
+
+
+def _correct_held(
+    tracker: Tracker,
+    state: TrackerState,
+    transverse: TransverseState | None,
+    history: History | None,
+    samples: StepSamples,
+    wrench: Wrench | None,
+    rows: list[PositionMeasurement],
+) -> TransverseState | None:
+    """Return the estimate across the conveyor by bolts in their holes.
+
+    Args:
+        wrench: of the contact alone.
+        rows: gets what they show along the conveyor.
+    """
+    settings = tracker.settings
+    payload, mount = settings.payload, settings.tactile
+    is_free = state.started and not state.contact and state.withdrawn is None
+    if not is_free or not held_bolts.is_entered(payload, state.distance):
+        return transverse
+    bending = tare.bending(state.tare, wrench, mount)
+    if transverse is None or history is None or wrench is None or bending is None:
+        return transverse
+    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+    if tcp is None:
+        return transverse
+    place = held_bolts.place(wrench.force, bending.force, tcp, payload, mount, state.distance)
+    if place is None:
+        return transverse
+    delay = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
+    held = held_bolts.measured(place, tcp, delay, tracker.cycle_s)
+    transverse, is_accepted = tracker.transverse.correct(transverse, held, HELD_GATE)
+    if is_accepted:
+        rows.append(_along_measurement(tracker, transverse, Source.CAMERA, held, HELD_GATE))
+    return transverse
 
 
 def _pose_measurements(

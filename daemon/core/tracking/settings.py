@@ -138,12 +138,16 @@ class PayloadSettings:
             that way is contact only if it is as large as a face's.
         bolt_angle: by which their angle about the object's axis may be off to each side, unseen by
             the camera [rad]. A tool whose bolts do not enter tries again, turned by shares of it.
+        bolt_play: between the axes of a bolt and its hole when they touch [m]: half the difference
+            of the diameters. A force across shows the object's place while the bolts are in their
+            holes. 0: it is not used.
     """
 
     mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
     centre: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
     bolts: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
     bolt_angle: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
+    bolt_play: Annotated[float, Ge(0.0), Le(0.01)] = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,72 @@
+"""Object as the bolts of a free tool show it: they press on a side of their holes.
+
+From the tips' entry to the touch a camera that is blind near the object sees nothing for seconds.
+A force across the tool's axis shows then where the object is: off the tool by the bolts' play, to
+the side to which it pushes.
+
+Invariants:
+- A force along the axis beyond what bolts rub in their holes is that of tips or face: it shows no
+  place.
+- Depth and orientation are not measured: their variance is that of no knowledge.
+"""
+
+import math
+
+import numpy as np
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.observation import PoseMeasurement
+from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
+from linemate.daemon.core.tracking.touch import bolt_search
+
+ENTERED = 0.003  # least way of the tips behind the object's plane: the error of its depth [m]
+DEVIATION = 0.0003  # sigma of the place to which a pressed side belongs [m]
+ALIKE_S = 0.1  # in which measurements err alike: the tool stays on a side [s]
+UNKNOWN = 1.0  # variance of what is not measured [m^2, rad^2]
+
+
+def is_entered(payload: PayloadSettings, distance: float) -> bool:
+    """Return whether the bolts are in their holes, and their play is known.
+
+    Args:
+        distance: programmed, from the tcp to the object along its z [m].
+    """
+    return payload.bolt_play > 0.0 and ENTERED - payload.bolts < distance < 0.0
+
+
+def place(
+    contact: Array,
+    bending: Array,
+    tcp: Array,
+    payload: PayloadSettings,
+    mount: TactileNoise,
+    distance: float,
+) -> Array | None:
+    """Return the object's place (3,) in c by the force across the tool; None without one.
+
+    Args:
+        contact: force (3,) of the contact alone, in the tcp [N].
+        bending: force (3,) that bends the mount: that of the contact, and the weight [N].
+        tcp: (6,) undeflected, in c.
+        distance: programmed, from the tcp to the object along its z [m].
+    """
+    x, y, z = contact.tolist()
+    across = math.hypot(x, y)
+    if across < mount.contact_force or abs(z) > mount.contact_force + bolt_search.RUBS * across:
+        return None
+    play = payload.bolt_play / across
+    off = bending / np.array(mount.stiffness) + np.array((play * x, play * y, -distance))
+    in_nominal: Array = tcp[:3] + rotations.exp(tcp[3:]).dot(off)
+    return in_nominal
+
+
+def measured(place: Array, tcp: Array, delay: float, cycle_s: float) -> PoseMeasurement:
+    """Return a place as a measurement.
+
+    Args:
+        delay: since the force [s].
+    """
+    variance = np.full(6, UNKNOWN)
+    variance[:2] = DEVIATION**2 * max(ALIKE_S / cycle_s, 1.0)
+    return PoseMeasurement(place, rotations.exp(tcp[3:]), delay, variance)
