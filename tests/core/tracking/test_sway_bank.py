@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.integrate import solve_ivp
 
 from linemate.daemon.core.tracking.classifiers import sway_bank
@@ -112,3 +113,9 @@ def test_another_sensor_of_the_body_may_have_another_offset() -> None:
         reading = PositionMeasurement(source, value, 0.0, 1e-8, 5.0)
         bank = sway_bank.read(SETTINGS, bank, reading, 0.0, 10.0)
     assert sway_bank.evaluate(SETTINGS, bank)[1] is None
+
+
+def test_a_gain_that_is_not_identified_is_less_certain_where_the_tool_touches() -> None:
+    bank = sway_bank.empty(SETTINGS)
+    seen, felt = (structs.replace(bank, source=each) for each in (Source.CAMERA, Source.TACTILE))
+    assert sway_bank.gain_deviation(felt) > 2.0 * sway_bank.gain_deviation(seen)

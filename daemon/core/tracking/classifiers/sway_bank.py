@@ -39,6 +39,7 @@ OFFSET_DEVIATION, DRIFT_DEVIATION, FREE_DEVIATION = 0.005, 0.003, 0.002
 # of all its modes are 1 together, at each point; one mode that is seen has most of that. With a
 # deviation of 0.5 the gain took up what is an error of the frequency.
 CARRIED_GAIN, GAIN_DEVIATION = 1.0, 0.2
+TOUCHED_DEVIATION = 0.5  # of it in contact: the tool excites the body too, and changes its modes
 READING_S = 0.02  # least time between two readings that are used [s]
 EVALUATION_S = 0.15  # between two evaluations of the grid [s]
 FLOOR = 0.00015  # of a reading's sigma: what a unit moves that its class does not [m]
@@ -292,6 +293,11 @@ def is_pushed(bank: SwayBank) -> bool:
     return SINGLE < bank.pushes < REPEATED
 
 
+def gain_deviation(bank: SwayBank) -> float:
+    """Return one sigma of a gain that is not identified, before any reading."""
+    return TOUCHED_DEVIATION if bank.source is Source.TACTILE else GAIN_DEVIATION
+
+
 def is_due(bank: SwayBank) -> bool:
     """Return whether the grid is to be evaluated."""
     return bank.since_evaluation >= EVALUATION_S and bank.age > FIRST_S
@@ -307,7 +313,7 @@ def evaluate(
         better: log odds by which another frequency must be likelier than that one.
     """
     frequencies = grid(settings)
-    prior, mean = _prior(settings)
+    prior, mean = _prior(settings, gain_deviation(bank))
     A, weighted = bank.information + np.diag(prior), bank.weighted + prior * mean
     steady, explained, logs = _eliminated(A, weighted)
     constant = float(np.log(prior[GAIN:]).sum() - prior[GAIN:].dot(mean[GAIN:] ** 2))
@@ -343,9 +349,13 @@ def _eliminated(A: Array, weighted: Array) -> tuple[Array, Array, Array]:
 
 
 @lru_cache(maxsize=8)
-def _prior(settings: SwaySettings) -> tuple[Array, Array]:
-    """Return the information (5,) of the prior, and its mean (5,)."""
-    gain = settings.gain_deviation if settings.frequency_hz else GAIN_DEVIATION
+def _prior(settings: SwaySettings, deviation: float) -> tuple[Array, Array]:
+    """Return the information (5,) of the prior, and its mean (5,).
+
+    Args:
+        deviation: of a gain that is not identified.
+    """
+    gain = settings.gain_deviation if settings.frequency_hz else deviation
     deviations = (OFFSET_DEVIATION, DRIFT_DEVIATION, gain, FREE_DEVIATION, FREE_DEVIATION)
     mean = np.zeros(TERMS)
     mean[GAIN] = settings.gain if settings.frequency_hz else CARRIED_GAIN

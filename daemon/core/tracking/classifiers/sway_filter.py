@@ -29,11 +29,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.sway_bank import (
-    GAIN_DEVIATION,
-    SwayBank,
-    SwayFit,
-)
+from linemate.daemon.core.tracking.classifiers.sway_bank import SwayBank, SwayFit
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 
 WIDENING = 4.0  # of the regression's covariance: neighbouring readings are not independent
@@ -204,7 +200,8 @@ def _with_sway(state: BankState, sways: SwayBank, fit: SwayFit) -> BankState:
     P[SWAY:STATES, :] = P[:, SWAY:STATES] = 0.0
     variance = max(fit.spread, LEAST_SPREAD) ** 2
     covariance = WIDENING * fit.covariance
-    shrunk = min(GAIN_DEVIATION / math.sqrt(float(covariance[GAIN_PART, GAIN_PART])), 1.0)
+    widest = sway_bank.gain_deviation(sways)
+    shrunk = min(widest / math.sqrt(float(covariance[GAIN_PART, GAIN_PART])), 1.0)
     covariance[GAIN_PART] *= shrunk
     covariance[:, GAIN_PART] *= shrunk
     sway, body = fit.values[:3], float(fit.values[3]) + (sways.base or 0.0)
