@@ -128,6 +128,27 @@ def test_a_tool_that_rings_in_the_air_has_no_force() -> None:
     assert run.go(0.1) == []
 
 
+@pytest.mark.parametrize(
+    ("before_mm", "mm", "kinds"), [(2.0, 5.9, []), (2.0, 6.1, ["swing"]), (4.1, 6.1, [])]
+)
+def test_a_retreat_that_makes_a_free_tool_swing_is_blamed(
+    before_mm: float, mm: float, kinds: list[str]
+) -> None:
+    run = Run(State.RETREAT)
+    run.plant.bent = (1e-3 * before_mm, 0.0, 0.0, 0.0, 0.0, 0.0)
+    run.go(0.4)
+    run.plant.bent = (1e-3 * mm, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert run.go(0.1) == kinds
+
+
+def test_a_swing_of_lost_replies_is_not_the_retreats() -> None:
+    run = Run(State.RETREAT)
+    run.go(0.4)
+    run.plant.bent = (0.0061, 0.0, 0.0, 0.0, 0.0, 0.0)
+    run.go(0.1, answered=False)
+    assert run.go(0.5, answered=True) == []
+
+
 def test_a_force_of_a_plan_that_took_the_commands_away_at_the_hub_is_excused() -> None:
     run = Run(State.CONTACT)
     run.go(0.1)

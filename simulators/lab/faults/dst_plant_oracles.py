@@ -20,6 +20,10 @@ from linemate.simulators.plants.world import World
 
 MOST_FORCE_N = 200.0
 """Largest force between tool and hub that a run may end with [N]: rows X1, X8 and X10."""
+MOST_SWING_N = 300.0
+"""Largest force in the mount of a free tool that a retreat may make, if all replies arrive [N]."""
+SWUNG_S = 0.2
+"""A swing that was there before shows in this time [s]: a period of 5 Hz."""
 AT_HUB_M = 0.02
 """A tool this near to the hub plane is at the hub [m]."""
 MOST_LATERAL_M = 0.006
@@ -158,6 +162,7 @@ class PlantOracle:
         self._velocities: deque[tuple[float, ...]] = deque(maxlen=3)
         self._rail: float | None = None
         self._forces: deque[float] = deque(maxlen=max(1, round(0.2 / cycle_s)))
+        self._swung = 0.0
         self._stiffness = world.scenario.effector.stiffness[0]
 
     def judge_cycle(self, seen: Seen) -> None:
@@ -175,6 +180,7 @@ class PlantOracle:
         held = clamped or depth > -AT_HUB_M
         self._track_losses(seen, hub[0], at_hub=at_hub, held=held)
         self._judge_contact(seen, force if clamped else 0.0)
+        self._judge_swing(seen, 0.0 if clamped else force)
         self._judge_place(seen, lateral, depth, clamped=clamped)
         self._judge_silence(seen, clamped=clamped)
         self._judge_answers(seen)
@@ -239,6 +245,14 @@ class PlantOracle:
             self._reported.add("force")
         if force > MOST_FORCE_N:
             self._harm("force", f"{force:.0f} N, limit {MOST_FORCE_N:g}", seen.now_s, "force")
+
+    def _judge_swing(self, seen: Seen, force: float) -> None:
+        """A retreat that gets all its replies makes no free tool swing."""
+        is_led = seen.state is State.RETREAT and seen.answered and self._quiet >= self._settling
+        if self._lasting("led", is_led, seen.now_s) < SWUNG_S:
+            self._swung = max(self._forces)
+        elif force > MOST_SWING_N and self._swung < MOST_FORCE_N:
+            self._once("swing", f"{force:.0f} N, limit {MOST_SWING_N:g}, in a retreat")
 
     # Where the tool is.
 
