@@ -9,6 +9,7 @@ from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 
 CONTACT_SHARE = 0.25  # share of the damping that is still there at contact
+FREED_S = 0.06  # in which it is blended in as an emergency retraction begins [s]
 
 
 def damping_time(tracker: Tracker, state: TrackerState) -> float:
@@ -21,8 +22,22 @@ def damping_time(tracker: Tracker, state: TrackerState) -> float:
     return state.time
 
 
+def horizon_shares(tracker: Tracker, state: TrackerState, limit: float) -> Array:
+    """Return where over the horizon the tool hangs free (n+1,).
+
+    Args:
+        limit: task time at which the clock stops [s].
+    """
+    shares = free_shares(tracker, damping_time(tracker, state), limit)
+    if state.withdrawn is None:
+        return shares
+    # The clock may stand where the tool is clamped.
+    freed = np.minimum((state.withdrawn + tracker.span) / FREED_S, 1.0)
+    return np.asarray(np.maximum(shares, freed))
+
+
 def free_shares(tracker: Tracker, time: float, limit: float) -> Array:
-    """Return where over the horizon the tool hangs free (n+1,)."""
+    """Return where over the horizon the tool hangs free by the task's clock (n+1,)."""
     first = round(time / tracker.cycle_s)
     last = first + tracker.steps
     if limit >= last * tracker.cycle_s and last < len(tracker.free):

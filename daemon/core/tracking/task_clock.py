@@ -26,7 +26,9 @@ def standing_time(tracker: Tracker, state: TrackerState, retreat: bool) -> float
     """Return the step's time at which the task's clock stops [s]; infinity without a stop."""
     if retreat and is_before_contact(tracker, state):
         return state.time
-    closed = barrier(tracker.reference, state.time, state.passed)
+    # The programme's own retreat would add its speed to the retraction's.
+    passed = state.passed - {Gate.WHEEL_RELEASED} if retreat else state.passed
+    closed = barrier(tracker.reference, state.time, passed)
     if state.oscillated is not None and not retreat:
         closed = min(closed, tracker.task.tool.release_wheel - 0.01 * tracker.cycle_s)
     if state.go.order is not GoOrder.GO and not retreat:

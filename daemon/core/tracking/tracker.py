@@ -15,7 +15,7 @@ from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
     Motion,
 )
-from linemate.daemon.core.tracking.damping import damping_time, free_shares
+from linemate.daemon.core.tracking.damping import horizon_shares
 from linemate.daemon.core.tracking.estimation import (
     comply,
     elastic,
@@ -185,7 +185,7 @@ def track(
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)
     state = _advance_axis(tracker, state, view, along)
     state = replace(state, poses=poses, calming=calming, distance=float(relative[0, 2]))
-    free = free_shares(tracker, damping_time(tracker, state), limit)
+    free = horizon_shares(tracker, state, limit)
     horizon = Horizon(poses, state.axis.positions, free, tracker.reference.nominal, plan.commit)
     outcome = report(tracker, state, view, wrench, rejected, target, part)
     return state, horizon, _with_oscillation(tracker, outcome, was_soft=was_soft, state=state)

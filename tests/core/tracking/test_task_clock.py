@@ -69,6 +69,15 @@ def test_a_wheel_is_not_released_while_the_object_swings_or_is_pulled_across(
     assert later(state, 0.1, CALM).releasing is not None
 
 
+@pytest.mark.parametrize("retreat", [True, False])
+def test_the_programmes_own_retreat_does_not_begin_in_a_retraction(*, retreat: bool) -> None:
+    tracker = compiled()
+    leaves = next(at for at, gate in tracker.reference.gated if gate is Gate.WHEEL_RELEASED)
+    state = replace(on_the_object(0.3), contact=False, passed=FIXED | {Gate.WHEEL_RELEASED})
+    state = later(state, leaves - state.time + 0.5, CALM, retreat=retreat)
+    assert (state.time > leaves) is not retreat
+
+
 def test_the_wait_for_a_calm_contact_ends() -> None:
     state = later(on_the_object(0.3), release.LONGEST_WAIT_S + 1.0, SWINGS)
     assert state.releasing is not None
