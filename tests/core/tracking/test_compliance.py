@@ -211,8 +211,8 @@ def test_a_large_oscillation_that_softening_does_not_end_is_unending(frequency_h
 
 @pytest.mark.parametrize(
     "amplitudes",
-    [[100.0] * 4, [250.0, 200.0, 150.0, 100.0], [200.0, 200.0]],
-    ids=["small", "falls", "has not lasted"],
+    [[100.0] * 4, [250.0, 200.0, 150.0, 100.0], [200.0, 200.0], [90.0, 90.0, 90.0, 200.0]],
+    ids=["small", "falls", "has not lasted", "is kicked again"],
 )
 def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_unending(
     amplitudes: list[float],

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers import guide
+from linemate.daemon.core.tracking.classifiers import bank_filter, guide
 from linemate.daemon.core.tracking.classifiers.bank_model import (
+    ACCELERATION,
     IMPULSE,
+    OFFSET,
     STATES,
     SWAY,
     BankState,
@@ -114,9 +116,9 @@ def test_what_an_offset_has_taken_up_of_a_deflection_does_not_move_the_guide() -
     state, _ = in_contact(3.0, 0.0)
     way = float(BANK.predict_positions(state, np.array((DT,)))[0])
     ahead = []
-    for complied in (0.001, 0.0):
+    for complied in (0.003, 0.0):
         felt = PositionMeasurement(
-            Source.TACTILE, way + 0.001, 0.0, 3e-5**2, 20.0, complied=complied
+            Source.TACTILE, way + 0.003, 0.0, 3e-5**2, 20.0, complied=complied
         )
         led = BANK.advance(state, [felt], DT).guide
         assert led is not None
@@ -244,3 +246,69 @@ def test_a_guide_counts_readings_of_the_distance_sensor_beyond_its_gate() -> Non
         state = guide.advance(BANK, state, state, (reading,), DT)
         assert state.guide is not None
         assert state.guide.missed == expected
+
+
+def moved_by(deflection: float) -> float:
+    """By how much one deflection moves the guide [m]."""
+    state, _ = in_contact(3.0, 0.0)
+    way = float(BANK.predict_positions(state, np.array((DT,)))[0])
+    felt = PositionMeasurement(Source.TACTILE, way + deflection, 0.0, 3e-5**2, 20.0)
+    led = BANK.advance(state, [felt], DT).guide
+    assert led is not None
+    return float(led.x[Y]) - way
+
+
+def test_a_body_that_rings_by_more_pulls_no_harder() -> None:
+    small, large = moved_by(guide.LARGEST_PULL), moved_by(0.9 * guide.FARTHEST_FELT)
+    assert small > 0.0
+    assert large == pytest.approx(small, abs=5e-6)
+
+
+def test_the_guide_is_never_far_from_where_the_tool_feels_the_object() -> None:
+    assert moved_by(0.004) > 0.004 - guide.FARTHEST_FELT
+    assert moved_by(-0.004) < guide.FARTHEST_FELT - 0.004
+
+
+def stopped(sway: float, *, sways: bool) -> tuple[BankState, float]:
+    """The guide as a stop is declared, and where the tool feels the object [m].
+
+    The null filter takes the object 3 mm back, and has a sway for the rest.
+    """
+    before, _ = in_contact(3.0, 0.0)
+    led = before.guide
+    assert led is not None
+    before = structs.replace(before, guide=structs.replace(led, sways=sways))
+    x = before.x.copy()
+    felt = float(x[Y])
+    x[Y] -= 0.003 + sway
+    x[OFFSET] += 0.003 + sway
+    x[SWAY], x[ACCELERATION] = sway, -0.1
+    events = (("stop", "confirmed"),)
+    after = structs.replace(before, x=x, motion=Motion.STOPPING, events=events, sway_omega=2.0)
+    row = PositionMeasurement(Source.TACTILE, felt, 0.0, 3e-5**2, 20.0)
+    return guide.advance(BANK, before, after, [row], DT), felt
+
+
+@pytest.mark.parametrize("sway", [0.0, 0.01])
+def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float) -> None:
+    state, felt = stopped(sway, sways=False)
+    assert state.guide is not None
+    x = state.guide.x
+    assert float(x[Y] + x[SWAY]) == pytest.approx(felt, abs=2e-4)
+    assert float(x[ACCELERATION]) == pytest.approx(-0.1)
+    # The distance sensor still reads where the conveyor is.
+    assert float(x[Y] + x[OFFSET]) == pytest.approx(float(state.x[Y] + state.x[OFFSET]), abs=1e-6)
+
+
+def test_a_body_that_sways_on_cancels_no_stop_that_the_guide_follows() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    led = state.guide
+    assert led is not None
+    slowing = led.x.copy()
+    slowing[V], slowing[ACCELERATION] = 0.06, -0.1
+    state = structs.replace(
+        state, motion=Motion.STOPPING, guide=structs.replace(led, x=slowing), class_age=0.4
+    )
+    assert bank_filter.predict(BANK, state, DT).motion is Motion.STOPPING
+    free = bank_filter.predict(BANK, structs.replace(state, guide=None), DT)
+    assert free.motion is not Motion.STOPPING

@@ -24,6 +24,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     SWAY_QUADRATURE,
     BankModel,
     BankState,
+    Guide,
     V,
     Y,
 )
@@ -118,7 +119,7 @@ def _end_class(model: BankModel, state: BankState) -> BankState:
     v = float(state.x[V])
     if state.motion is Motion.STOPPING and _is_stopped(model, state):
         return enter_standing(model, state)
-    if state.motion is Motion.STOPPING and v > FAST_SHARE * state.cruise:
+    if state.motion is Motion.STOPPING and float(_led(state).x[V]) > FAST_SHARE * state.cruise:
         return _cancel_stop(model, state)
     if state.motion is Motion.STARTING and v >= state.cruise:
         return enter_class(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
@@ -164,6 +165,14 @@ def reset_ripple(model: BankModel, state: BankState) -> BankState:
     return replace(state, x=x, P=P)
 
 
+def _led(state: BankState) -> BankState | Guide:
+    """Return the estimate that leads the target.
+
+    A body that sways on as its conveyor stops keeps the null filter fast.
+    """
+    return state if state.guide is None or state.is_firm else state.guide
+
+
 def _cancel_stop(model: BankModel, state: BankState) -> BankState:
     """Return the state without a stop that has turned out not to slow the conveyor.
 
@@ -172,12 +181,13 @@ def _cancel_stop(model: BankModel, state: BankState) -> BankState:
     start speeds up: the start goes on.
     """
     slowest = -SLOWEST_STOP * model.conveyor.deceleration
-    acceleration = float(state.x[ACCELERATION])
-    sigma = math.sqrt(float(state.P[ACCELERATION, ACCELERATION]))
+    led = _led(state)
+    acceleration = float(led.x[ACCELERATION])
+    sigma = math.sqrt(float(led.P[ACCELERATION, ACCELERATION]))
     if acceleration - 2.0 * sigma <= slowest:
         return state
     events = (*state.events, ("stop", "cancelled"))
-    if acceleration - 2.0 * sigma > 0.0 and float(state.x[V]) < STARTED_SHARE * state.cruise:
+    if acceleration - 2.0 * sigma > 0.0 and float(led.x[V]) < STARTED_SHARE * state.cruise:
         started = clear_banks(state)
         return replace(started, motion=Motion.STARTING, class_age=0.0, events=events)
     state = enter_class(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)

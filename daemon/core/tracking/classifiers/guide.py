@@ -19,6 +19,7 @@ Invariants:
 import math
 from collections.abc import Sequence
 
+import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
@@ -28,6 +29,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     FREQUENCY,
     GAIN,
     IMPULSE,
+    OFFSET,
     PACE,
     RIPPLE,
     RIPPLE_FACTORS,
@@ -37,6 +39,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     BankState,
     Guide,
     V,
+    Y,
 )
 from linemate.daemon.core.tracking.conveyor import (
     Motion,
@@ -49,7 +52,10 @@ _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
 KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
+FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
 FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
+LARGEST_PULL = 0.0003  # of a deflection on it: a body that rings by more is not driven by more [m]
+FARTHEST_FELT = 0.002  # from where the tool feels the object: 100 N on a mount of 50 N/mm [m]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
@@ -87,9 +93,9 @@ def advance(
             missed = missed + 1 if corrected is led else 0
         led = corrected
     led_sway = led.x[_SWAY].copy()
-    if state.motion is not before.motion:
-        led = _in_class(model, state, led)
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
+    if state.motion is not before.motion:
+        led = _in_class(model, state, led, measurements, sways=sways)
     led = led if sways else _fading(led, led_sway, dt)
     return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits, missed))
 
@@ -144,6 +150,12 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
         return led
     K: Array = Ph / S
     x = led.x + nu * K
+    if measurement.source is Source.TACTILE:
+        pull = min(max(nu, -LARGEST_PULL), LARGEST_PULL)
+        x[:SWAY] = led.x[:SWAY] + pull * K[:SWAY]
+        far = nu - min(max(nu, -FARTHEST_FELT), FARTHEST_FELT)
+        x[Y] += far
+        x[OFFSET] -= far
     low, high = RIPPLE_FACTORS
     factor, x[FREQUENCY] = min(max(led.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
     x[PACE] = 0.0  # the null filter knows the sway's frequency better
@@ -166,15 +178,64 @@ def _fading(led: BankState, sway: Array, dt: float) -> BankState:
     return replace(led, x=x, P=P)
 
 
-def _in_class(model: BankModel, state: BankState, led: BankState) -> BankState:
+def _swayed(guide: Guide, own: float) -> Guide:
+    """Return the guide with the null filter's sway as a part of the object's position.
+
+    Dropped, a slow sway that was found in contact moved the target by 12 mm as a stop was declared.
+
+    Args:
+        own: sway that the guide still leads [m].
+    """
+    T = np.eye(STATES)
+    T[Y, SWAY], T[OFFSET, SWAY] = 1.0, -1.0
+    x = T.dot(guide.x)
+    x[Y] -= own
+    x[OFFSET] += own
+    x[SWAY] = own
+    return replace(guide, x=x, P=T.dot(guide.P).dot(T.T))
+
+
+def _held(
+    model: BankModel, led: BankState, measurements: Sequence[PositionMeasurement]
+) -> BankState:
+    """Return the guide with the object where the tool feels it: the rest is an offset.
+
+    A class that is declared late has moved the conveyor by millimetres. A body that sways has not
+    followed it yet: a target that went there at once would make it ring on the mount.
+    """
+    felt = [each for each in measurements if each.source is Source.TACTILE]
+    if not felt:
+        return led
+    value = felt[-1].value - felt[-1].complied
+    off = value - float(model.observation_row(felt[-1], led).dot(led.x))
+    off = min(max(off, -FARTHEST_HELD), FARTHEST_HELD)
+    x = led.x.copy()
+    x[Y] += off
+    x[OFFSET] -= off
+    return replace(led, x=x)
+
+
+def _in_class(
+    model: BankModel,
+    state: BankState,
+    led: BankState,
+    measurements: Sequence[PositionMeasurement],
+    *,
+    sways: bool,
+) -> BankState:
     """Return the guide in another class.
 
-    What the bank has confirmed or taken back, the guide takes over whole. Where a stop or a start
-    ends it takes the speed.
+    What the bank has confirmed or taken back, the guide takes over whole, but for where the tool
+    holds the object. Where a stop or a start ends it takes the speed.
+
+    Args:
+        sways: a sway leads the target.
     """
     if has_changed_class(state.events):
         guide = synchronised(state)
-        return replace(led, x=guide.x, P=guide.P)
+        if not sways:
+            guide = _swayed(guide, float(led.x[SWAY]))
+        return _held(model, replace(led, x=guide.x, P=guide.P), measurements)
     if state.motion is Motion.STANDING:
         return bank_filter.enter_standing(model, led)
     x, P = led.x.copy(), led.P.copy()

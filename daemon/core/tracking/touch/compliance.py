@@ -287,8 +287,10 @@ def unending(state: Compliance, overload: float) -> float | None:
     """
     if state.softened < SOFTENED_S or len(state.past) < 2 * SECOND:
         return None
-    largest = max(state.past[-SECOND:])
-    least = max(FALLS * max(state.past[-2 * SECOND : -SECOND]), (UNENDING * overload) ** 2)
+    before, largest = (max(state.past[-n * SECOND :][:SECOND]) for n in (2, 1))
+    limit = (UNENDING * overload) ** 2
+    # One that is kicked again gets its second to fall.
+    least = max(FALLS * before, limit) if before >= limit else math.inf
     return math.sqrt(largest) if largest >= least else None
 
 
