@@ -55,7 +55,7 @@ CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
 FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
 LARGEST_PULL = 0.0003  # of a deflection on it: a body that rings by more is not driven by more [m]
-FARTHEST_FELT = 0.002  # from where the tool feels the object: 100 N on a mount of 50 N/mm [m]
+FARTHEST_FELT = 0.002  # from where the tool measures the object: 100 N on a mount of 50 N/mm [m]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
@@ -198,7 +198,7 @@ def _swayed(guide: Guide, own: float) -> Guide:
 def _held(
     model: BankModel, led: BankState, measurements: Sequence[PositionMeasurement]
 ) -> BankState:
-    """Return the guide with the object where the tool feels it: the rest is an offset.
+    """Return the guide with the object where the tool measures it: the rest is an offset.
 
     A class that is declared late has moved the conveyor by millimetres. A body that sways has not
     followed it yet: a target that went there at once would make it ring on the mount.
