@@ -1,5 +1,6 @@
 """A short share of the fault campaign, past failures, and planted errors."""
 
+import json
 import logging
 import os
 import subprocess
@@ -261,6 +262,11 @@ def test_an_oracle_tells_a_wrong_transition(
 # Shrinking and the command.
 
 
+def outcome(plan: FaultPlan, *violations: str, force_n: float = 0.0) -> dst_run.RunOutcome:
+    """What a run of a plan might have come to."""
+    return dst_run.RunOutcome(plan, violations, f"{plan.seed}", 1, frozenset(), force_n)
+
+
 def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyPatch) -> None:
     guilty = Fault(1.0, "camera", "flip", 0.1, 0.5)
     others = tuple(Fault(0.1 * i, "distance", "loss", 0.1, 0.5) for i in range(5))
@@ -273,8 +279,8 @@ def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyP
         faults=(*others[:3], guilty, *others[3:]),
     )
 
-    def live(plan: FaultPlan) -> tuple[tuple[str, ...], str]:
-        return (("limits: of axis 3",) if guilty in plan.faults else ("order: lost",)), ""
+    def live(plan: FaultPlan) -> dst_run.RunOutcome:
+        return outcome(plan, "limits: of axis 3" if guilty in plan.faults else "order: lost")
 
     monkeypatch.setattr(dst, "_live", live)
     assert dst.shrink(plan, "limits") == FaultPlan(
@@ -285,7 +291,7 @@ def test_shrinking_leaves_the_one_fault_that_matters(monkeypatch: pytest.MonkeyP
 def test_a_plan_that_failed_is_kept_once_for_each_kind(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(dst, "_live", lambda _plan: (("limits: far too fast",), "trace"))
+    monkeypatch.setattr(dst, "_live", lambda plan: outcome(plan, "limits: far too fast"))
     monkeypatch.setattr(dst, "_different", lambda _traces, _cycle_ms: iter(()))
     path = tmp_path / "kept.txt"
     assert dst.main(["1:4", "--workers", "1", "--keep", str(path)]) == 1
@@ -298,6 +304,37 @@ def test_a_plan_that_failed_is_kept_once_for_each_kind(
 def test_the_last_line_counts_the_runs(capsys: pytest.CaptureFixture[str]) -> None:
     assert dst.main(["1:2", "--workers", "1", "--forget"]) == 0
     assert capsys.readouterr().out.splitlines()[-1] == "1 runs, 0 violations"
+
+
+def test_every_cycle_and_cell_is_counted_for_itself(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def live(plan: FaultPlan) -> dst_run.RunOutcome:
+        failed = plan.cell == "egm" and plan.seed == 2
+        return outcome(plan, *(["force: 210 N"] if failed else []), force_n=100.0 + plan.seed)
+
+    monkeypatch.setattr(dst, "_live", live)
+    assert dst.main(["1:3", "--workers", "1", "--forget", "--every", "--json"]) == 1
+    campaigns = json.loads(capsys.readouterr().out)["campaigns"]
+    assert [(each["cell"], each["cycle_ms"]) for each in campaigns] == [
+        ("drawn", 12),
+        ("drawn", 4),
+        *((cell, 12) for cell in dst_plan.CELLS),
+        ("fanuc", 8),
+        ("egm", 4),
+    ]
+    *others, egm = campaigns
+    assert all(each["runs"] == 2 and each["force_n"] == 102.0 for each in others)
+    assert not any(each["violations"] for each in others)
+    assert egm["violations"] == [{"seed": 2, "what": ["force: 210 N"]}]
+    assert egm["force_n"] == 101.0
+
+
+def test_the_largest_force_of_a_run_is_that_of_a_clamped_tool() -> None:
+    assert 30.0 < dst_run.run(FaultPlan(1, duration_s=1.9)).force_n < 200.0
+    # A second before the touch nothing is clamped.
+    short = FaultPlan(1, duration_s=0.3)
+    assert dst_run.run(short).force_n == 0.0
 
 
 @pytest.mark.parametrize("text", ["", "5", "5:5", "7:3", "a:b", "0:99999999999"])

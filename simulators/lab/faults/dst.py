@@ -2,12 +2,15 @@
 
 Invariants:
     Seeds in (half open), one line a violation out; the last line counts.
+    With ``--json`` the counts are the output, and these lines go to stderr.
     A failing seed is shrunk to the smallest plan that fails in the same way.
     Every fiftieth seed runs again with another hash seed and must give the same trace.
 """
 
 import argparse
+import contextlib
 import gc
+import json
 import os
 import subprocess
 import sys
@@ -17,10 +20,14 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import get_args
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
+from linemate.simulators.judge.statistics import seed_text
 from linemate.simulators.lab.faults import dst_plan
 from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, FaultPlan
+
+if TYPE_CHECKING:
+    from linemate.simulators.lab.faults.dst_run import RunOutcome
 
 Drawn = partial[FaultPlan]
 """Draws the plan of a seed: the campaign's cycle and cell are its keywords."""
@@ -33,6 +40,22 @@ SHRINKING = 200
 
 KEPT = Path("tests/dst/regressions.txt")
 
+EVERY: tuple[tuple[CycleMs | None, str | None], ...] = (
+    (12, None),
+    (4, None),
+    *((None, cell) for cell in (*dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS)),
+)
+"""Cycle and cell of each campaign of ``--every``."""
+
+
+class Lived(NamedTuple):
+    """What a run came to, as the campaign counts it; the fields are those of ``RunOutcome``."""
+
+    seed: int
+    violations: tuple[str, ...]
+    digest: str
+    force_n: float
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run many seeds.
@@ -43,10 +66,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    drawn = partial(dst_plan.draw, cycle_ms=args.cycle_ms, cell=args.cell)
+    campaigns = EVERY if args.every else ((args.cycle_ms, args.cell),)
+    drawn = [partial(dst_plan.draw, cycle_ms=cycle, cell=cell) for cycle, cell in campaigns]
     if args.trace:
         for seed in args.trace.split(","):
-            print(seed, _live(drawn(int(seed)))[1], flush=True)
+            print(seed, _live(drawn[0](int(seed))).digest, flush=True)
         return 0
     try:
         seeds = _seeds(args.seeds)
@@ -54,7 +78,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"dst: {error}", file=sys.stderr)
         return 2
     keep = None if args.forget else args.keep
-    return _run_seeds(seeds, drawn, max(1, args.workers), keep, args.seconds)
+    lines = sys.stderr if args.json else sys.stdout
+    with contextlib.redirect_stdout(lines):
+        counts = [
+            _run_seeds(seeds, each, max(1, args.workers), keep, args.seconds) for each in drawn
+        ]
+    if args.json:
+        print(json.dumps({"campaigns": counts}, indent=1))
+    return 1 if any(count["violations"] or count["not_repeated"] for count in counts) else 0
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -73,11 +104,18 @@ def _parser() -> argparse.ArgumentParser:
         choices=(*dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS),
         help="another cell or family of controllers",
     )
+    parser.add_argument(
+        "--every", action="store_true", help="one campaign after the other, of each cycle and cell"
+    )
+    parser.add_argument("--json", action="store_true", help="print the counts as JSON")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--keep", type=Path, default=KEPT, help="file for plans that failed")
     parser.add_argument("--forget", action="store_true", help="neither shrink nor keep")
     parser.add_argument(
-        "--seconds", type=float, default=float("inf"), help="begin no further seed after that"
+        "--seconds",
+        type=float,
+        default=float("inf"),
+        help="begin no further seed of a campaign after that",
     )
     parser.add_argument("--trace", metavar="SEED,...", help="print the traces of some seeds")
     return parser
@@ -93,19 +131,23 @@ def _seeds(text: str) -> range:
     return seeds
 
 
-def _run_seeds(seeds: range, drawn: Drawn, workers: int, keep: Path | None, seconds: float) -> int:
-    """Run all seeds that there is time for, then some of them again."""
+def _run_seeds(
+    seeds: range, drawn: Drawn, workers: int, keep: Path | None, seconds: float
+) -> dict[str, Any]:
+    """Run all seeds that there is time for, then some of them again; return the counts."""
     begun = time.monotonic()
-    failed: list[tuple[int, tuple[str, ...]]] = []
+    failed: list[Lived] = []
     traces: dict[int, str] = {}
-    done = 0
-    for done, (seed, violations, digest) in enumerate(_lives(seeds, drawn, workers), 1):
-        if violations:
-            failed.append((seed, violations))
-            for what in violations:
-                print(f"seed {seed}: {what}", flush=True)
-        if seed % AGAIN_EVERY == 0:
-            traces[seed] = digest
+    done, force_n = 0, 0.0
+    for done, lived in enumerate(_lives(seeds, drawn, workers), 1):
+        if lived.violations:
+            failed.append(lived)
+            for what in lived.violations:
+                print(f"seed {lived.seed}: {what}", flush=True)
+        else:
+            force_n = max(force_n, lived.force_n)
+        if lived.seed % AGAIN_EVERY == 0:
+            traces[lived.seed] = lived.digest
         passed_s = time.monotonic() - begun
         if done % (AGAIN_EVERY * CHUNK) == 0:
             print(f"{done} of {len(seeds)}, {passed_s:.0f} s", flush=True)
@@ -118,14 +160,20 @@ def _run_seeds(seeds: range, drawn: Drawn, workers: int, keep: Path | None, seco
     if keep is not None:
         _keep(failed, drawn, keep)
     print(f"{60.0 * done / lived_s:.0f} runs a minute, {len(traces)} of them twice")
-    count = len(failed) + len(different)
-    print(f"{done} runs, {count} violations")
-    return 1 if count else 0
+    print(f"{done} runs, {len(failed) + len(different)} violations", flush=True)
+    plan = drawn(seeds[0])
+    return {
+        "cell": drawn.keywords["cell"] or "drawn",
+        "cycle_ms": plan.cycle_ms,
+        "seeds": seed_text(seeds[:done]),
+        "runs": done,
+        "force_n": round(force_n, 1),
+        "violations": [{"seed": run.seed, "what": list(run.violations)} for run in failed],
+        "not_repeated": different,
+    }
 
 
-def _lives(
-    seeds: Iterable[int], drawn: Drawn, workers: int
-) -> Iterator[tuple[int, tuple[str, ...], str]]:
+def _lives(seeds: Iterable[int], drawn: Drawn, workers: int) -> Iterator[Lived]:
     settle, live = partial(_settle, drawn), partial(_live_seed, drawn)
     if workers == 1:
         settle()
@@ -153,18 +201,17 @@ def _settle(drawn: Drawn) -> None:
     gc.disable()
 
 
-def _live_seed(drawn: Drawn, seed: int) -> tuple[int, tuple[str, ...], str]:
-    violations, digest = _live(drawn(seed))
+def _live_seed(drawn: Drawn, seed: int) -> Lived:
+    outcome = _live(drawn(seed))
     if seed % CHUNK == 0:
         gc.collect()
-    return seed, violations, digest
+    return Lived(seed, outcome.violations, outcome.digest, outcome.force_n)
 
 
-def _live(plan: FaultPlan) -> tuple[tuple[str, ...], str]:
+def _live(plan: FaultPlan) -> "RunOutcome":
     from linemate.simulators.lab.faults import dst_run
 
-    outcome = dst_run.run(plan)
-    return outcome.violations, outcome.digest
+    return dst_run.run(plan)
 
 
 def _different(traces: dict[int, str], drawn: Drawn) -> Iterator[int]:
@@ -183,19 +230,19 @@ def _different(traces: dict[int, str], drawn: Drawn) -> Iterator[int]:
     yield from (seed for seed, digest in traces.items() if again.get(str(seed)) != digest)
 
 
-def _keep(failed: list[tuple[int, tuple[str, ...]]], drawn: Drawn, path: Path) -> None:
+def _keep(failed: Sequence[Lived], drawn: Drawn, path: Path) -> None:
     """Shrink what failed and add it to the regressions, one of a kind."""
     kinds: set[str] = set()
-    for seed, violations in failed:
-        kind = _kind(violations)
+    for lived in failed:
+        kind = _kind(lived.violations)
         if kind in kinds:
             continue
         kinds.add(kind)
-        plan = shrink(drawn(seed), kind)
+        plan = shrink(drawn(lived.seed), kind)
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
-            file.write(f"# {violations[0][:160]}\n{plan.to_line()}\n")
-        print(f"seed {seed}: kept with {len(plan.faults)} faults in {path}", flush=True)
+            file.write(f"# {lived.violations[0][:160]}\n{plan.to_line()}\n")
+        print(f"seed {lived.seed}: kept with {len(plan.faults)} faults in {path}", flush=True)
 
 
 def _kind(violations: tuple[str, ...]) -> str:
@@ -216,7 +263,7 @@ def shrink(plan: FaultPlan, kind: str) -> FaultPlan:
             budget -= 1
             if budget < 0:
                 return plan
-            if _kind(_live(smaller)[0]) == kind:
+            if _kind(_live(smaller).violations) == kind:
                 plan, progress = smaller, True
                 break
     return plan

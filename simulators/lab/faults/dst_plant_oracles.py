@@ -119,6 +119,7 @@ class PlantOracle:
 
     Attributes:
         excused: what was found and is unavoidable by the plan, with the loss that excuses it.
+        largest_n: largest force between the hub and a clamped tool so far [N].
     """
 
     def __init__(
@@ -143,6 +144,7 @@ class PlantOracle:
         """
         self._unanswered_s = unanswered_s
         self.excused: list[str] = []
+        self.largest_n = 0.0
         self._world, self._emitters, self._cycle_s = world, emitters, cycle_s
         self._blame = blame
         self._cycle_off, self._has_rail = cycle_off, has_rail
@@ -175,6 +177,8 @@ class PlantOracle:
         at_hub = clamped or (depth > -AT_HUB_M and lateral < 2.0 * AT_HUB_M)
         force = self._stiffness * math.hypot(*bent[:3])
         self._forces.append(force)
+        if clamped:
+            self.largest_n = max(self.largest_n, force)
         if seen.answered:
             self._answered_s = seen.now_s
         held = clamped or depth > -AT_HUB_M

@@ -91,6 +91,7 @@ class RunOutcome:
         violations: what the oracles found, the first ones.
         digest: of every byte that crossed the robot's wire and of all that was applied.
         states: the operating states that were seen.
+        force_n: largest force between the hub and a clamped tool [N].
     """
 
     plan: FaultPlan
@@ -98,6 +99,7 @@ class RunOutcome:
     digest: str
     cycles: int
     states: frozenset[str]
+    force_n: float
 
 
 def run(plan: FaultPlan) -> RunOutcome:
@@ -293,6 +295,7 @@ class Simulation:
             self._hash.hexdigest(),
             self._cycle,
             frozenset(self.oracle.states),
+            self.plant_oracle.largest_n,
         )
 
     # The controller's cycle.

@@ -1,0 +1,45 @@
+"""Tables of docs/reliability.md: the fault campaign, and the cell without a force-torque sensor."""
+
+from collections.abc import Callable
+from typing import Any
+
+Result = dict[str, Any]
+Load = Callable[[str], Result]
+
+COMMANDS = {
+    "faults": "python -m linemate.simulators.lab.faults.dst 20000:30000 --every --seconds 120"
+    " --forget --json",
+    "no-force": "python -m docs.make.no_force",
+}
+
+
+def whole(raw: Result) -> Result:
+    """Return the counts as they were printed."""
+    return raw
+
+
+def campaigns(load: Load) -> str:
+    """Return a row for each cycle and cell, and what was violated."""
+    lines = ["| cell | cycle, ms | seeds | runs | violations | largest force of the others, N |"]
+    lines += ["|---" * 6 + "|"]
+    violated = []
+    for row in load("faults")["campaigns"]:
+        failed = row["violations"]
+        cells = (row["cell"], row["cycle_ms"], row["seeds"], row["runs"], len(failed))
+        lines.append(f"| {' | '.join(map(str, cells))} | {row['force_n']:.0f} |")
+        violated += [
+            f"| {row['cell']}, {row['cycle_ms']} ms, {run['seed']} | {run['what'][0]} |"
+            for run in failed
+        ]
+    if violated:
+        lines += ["", "| cell, cycle, seed | violation |", "|---|---|", *violated]
+    return "\n".join(lines)
+
+
+def no_force(load: Load) -> str:
+    """Return the largest force at the mount for each kind of trouble."""
+    lines = ["| trouble | runs | largest force at the mount | violations |", "|---" * 4 + "|"]
+    for row in load("no-force")["rows"]:
+        force, count = f"{row['force_n']:.0f} N", row["violations"]
+        lines.append(f"| {row['row']} | {row['runs']} | {force} | {count} |")
+    return "\n".join(lines)
