@@ -19,7 +19,6 @@ from linemate.daemon.core.control.settings import AxisWindup
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification import scene_fit as scenes
 from linemate.daemon.identification import swing
-from linemate.daemon.identification.encoder_windup import dahl
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
 from linemate.daemon.identification.trace import (
@@ -242,3 +241,14 @@ def _solved(base: Array, columns: Array, wanted: Array, count: int) -> tuple[flo
     deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) / scale
     part = slice(size, size + count)
     return float(left @ left), values[part], deviations[part]
+
+
+def dahl(motor: Array, travel: float) -> Array:
+    """Return Dahl's hysteresis (n,) of depth 1, exact for a way in one direction a sample."""
+    way = np.diff(motor)
+    signs, shares = np.sign(way).tolist(), np.exp(-np.abs(way) / travel).tolist()
+    w, rows = 0.0, [0.0]
+    for sign, share in zip(signs, shares, strict=True):
+        w = sign + (w - sign) * share
+        rows.append(w)
+    return np.array(rows)

@@ -19,7 +19,7 @@ from linemate.daemon.core.control import servo_fit
 from linemate.daemon.core.control.servo_fit import Passage, ServoFit
 from linemate.daemon.core.control.settings import AxisFriction, ServoModel
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.identification.encoder_windup import dahl
+from linemate.daemon.identification.arm_windup import dahl
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.trace import Trace
 

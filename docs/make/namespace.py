@@ -13,13 +13,8 @@ from pathlib import Path
 
 from grimp import ImportGraph
 from importlinter import Contract, ContractCheck, fields, output
-from importlinter.contracts.layers import LayersContract
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / ".typing"))
-
-
-class NamespaceLayers(LayersContract):
-    """Contract of layers, read below the namespace."""
 
 
 class AcyclicModules(Contract):

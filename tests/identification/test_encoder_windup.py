@@ -4,14 +4,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from encoder_windup import AxisRecord, WindupModel, identify_windup, predicted
 
-from linemate.daemon.identification.encoder_windup import (
-    AxisRecord,
-    WindupModel,
-    dahl,
-    identify_windup,
-    predicted,
-)
+from linemate.daemon.identification.arm_windup import dahl
 from linemate.daemon.identification.outcome import Estimate, Refusal
 
 DATA = Path(__file__).parents[1] / "data" / "kr300"

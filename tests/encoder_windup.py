@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.identification.arm_windup import dahl
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 
 TRAVELS = tuple(float(f"{value:.2g}") for value in np.geomspace(0.3e-3, 30e-3, 11))
@@ -80,17 +81,6 @@ class WindupResult:
     depth: Outcome
     lag: Outcome
     residual: float
-
-
-def dahl(motor: Array, travel: float) -> Array:
-    """Return Dahl's hysteresis (n,) of depth 1, exact for a way in one direction a sample."""
-    way = np.diff(motor)
-    signs, shares = np.sign(way).tolist(), np.exp(-np.abs(way) / travel).tolist()
-    w, rows = 0.0, [0.0]
-    for sign, share in zip(signs, shares, strict=True):
-        w = sign + (w - sign) * share
-        rows.append(w)
-    return np.array(rows)
 
 
 def predicted(model: WindupModel, record: AxisRecord) -> Array:
