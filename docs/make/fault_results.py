@@ -7,8 +7,8 @@ Result = dict[str, Any]
 Load = Callable[[str], Result]
 
 COMMANDS = {
-    "faults": "python -m linemate.simulators.lab.faults.dst 20000:30000 --every --seconds 120"
-    " --forget --json",
+    "faults": "python -m linemate.simulators.lab.faults.dst 20000:30000 --every --seconds 60"
+    " --workers 1 --forget --json",
     "no-force": "python -m docs.make.no_force",
 }
 
