@@ -45,6 +45,7 @@ def test_a_seed_runs_at_4_ms_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed, cycle_ms=4)).violations == ()
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("line", regressions())
 def test_what_once_failed_does_not_fail_again(line: str) -> None:
     plan = dst_plan.from_line(line)

@@ -10,9 +10,9 @@ from msgspec.structs import replace
 
 from linemate.daemon.cycle.states import State
 from linemate.daemon.service.app import App
-from linemate.simulators.devices import robot_program
+from linemate.simulators.devices.links import robot_program
+from linemate.simulators.devices.links.robot_program import Controller
 from linemate.simulators.devices.robot_plant import RobotPlant
-from linemate.simulators.devices.robot_program import Controller
 from linemate.simulators.lab.faults.dst_controllers import StrictFamily
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from linemate.daemon.config.settings import ControllerKind
 from linemate.protocol.fanuc.packets import PacketKind, write_short
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
-from linemate.simulators.devices.robot_program import Controller
+from linemate.simulators.devices.links.robot_program import Controller
 from linemate.simulators.devices.rsi_controller import Applied, RobotReading, RsiController
 from linemate.simulators.harness import cell_links
 from linemate.simulators.lab.faults.dst_cells import axis_limits, rest_pose, station

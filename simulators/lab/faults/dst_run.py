@@ -23,9 +23,9 @@ from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.datagrams import Address
 from linemate.protocol.sensors.distance import DistanceEncoder
-from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
+from linemate.simulators.devices.links import robot_program
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.devices.rsi_controller import ControllerConfig, RsiController
 from linemate.simulators.harness.sensor_links import Emitters

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable
 
 from linemate.drivers.datagrams import Address
-from linemate.simulators.devices.robot_program import Controller
+from linemate.simulators.devices.links.robot_program import Controller
 from linemate.simulators.plants.scenario import Fault
 
 FIRST: Address = ("127.0.0.1", 50_000)

@@ -26,10 +26,10 @@ from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
 from linemate.daemon.service.host.notify import Notifier
 from linemate.drivers.datagrams import Address
-from linemate.simulators.devices import robot_program
 from linemate.simulators.devices.faults import Faults
 from linemate.simulators.devices.line.car_feeder import CarFeeder
 from linemate.simulators.devices.line.cars import Car, CarFault, CarTruth, LinePlan
+from linemate.simulators.devices.links import robot_program
 from linemate.simulators.devices.robot_plant import RobotPlant
 from linemate.simulators.harness import cell_links, host
 from linemate.simulators.harness.cell import cell_truth
