@@ -19,6 +19,9 @@ _BARE: Pose = ((0.0, 0.0, 0.0), rotation.IDENTITY)
 
 Values = tuple[float, ...]
 
+LinkConstants = tuple[float, float, float, float, float]
+"""Cosine and sine of alpha, a, d and theta of a link."""
+
 Number = float | str
 """A constant, or the name or product that stands for a value."""
 
@@ -96,10 +99,11 @@ def _chain(links: tuple[DenavitHartenbergLink, ...], tool: Pose, root: Pose) -> 
     return [*lines, f"return ({', '.join(map(str, place))}), ({rows})"]
 
 
-def frames(links: tuple[DenavitHartenbergLink, ...], joints: Values) -> tuple[list[Vec], list[Vec]]:
+def frames(links: tuple[LinkConstants, ...], joints: Values) -> tuple[list[Vec], list[Vec]]:
     """Compute where the axes are, in Craig's form.
 
     Args:
+        links: cosine and sine of each link, as ``link_constants`` returns them.
         joints: A1..A6 [rad]; more are ignored.
 
     Returns:
@@ -111,7 +115,7 @@ def frames(links: tuple[DenavitHartenbergLink, ...], joints: Values) -> tuple[li
     z0, z1, z2 = 0.0, 0.0, 1.0
     origins: list[Vec] = []
     axes: list[Vec] = []
-    for (ca, sa, a, d, theta), joint in zip(_constants(links), joints, strict=False):
+    for (ca, sa, a, d, theta), joint in zip(links, joints, strict=False):
         px, py, pz = px + a * x0, py + a * x1, pz + a * x2
         y0, z0 = ca * y0 + sa * z0, ca * z0 - sa * y0
         y1, z1 = ca * y1 + sa * z1, ca * z1 - sa * y1
@@ -127,11 +131,8 @@ def frames(links: tuple[DenavitHartenbergLink, ...], joints: Values) -> tuple[li
     return [*origins, (px, py, pz)], axes
 
 
-@lru_cache(maxsize=16)
-def _constants(
-    links: tuple[DenavitHartenbergLink, ...],
-) -> tuple[tuple[float, float, float, float, float], ...]:
-    """Cosine and sine of alpha, a, d and theta of each link."""
+def link_constants(links: tuple[DenavitHartenbergLink, ...]) -> tuple[LinkConstants, ...]:
+    """Return what ``frames`` needs of each link."""
     return tuple(
         (math.cos(link.alpha), math.sin(link.alpha), link.a, link.d, link.theta) for link in links
     )

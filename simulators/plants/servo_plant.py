@@ -167,13 +167,17 @@ class ServoBank:
     ) -> tuple[float, float]:
         """Position and velocity of one axis after some pieces."""
         lag, nodes, cycle_s = self._lags[axis], self._nodes, self._cycle_s
-        _, _, stiffness, friction, _, limit, *_ = lag
+        _, _, stiffness, friction, shift, limit, _, _ = lag
         for piece in pieces:
-            back, since, length, _ = piece
+            back, since, length, (p11, p12, p21, p22) = piece
             begin = nodes[-2 - back][axis]
             slope = (nodes[-1 - back][axis] - begin) / cycle_s
             u = begin + slope * since
-            y1, v1 = _linear(lag, piece, slope, u, y, v)
+            # ``_linear``, written out: a call costs as much as what it computes.
+            lead = slope * shift
+            x, xv = y - u + lead, v - slope
+            y1 = p11 * x + p12 * xv + u + slope * length - lead
+            v1 = p21 * x + p22 * xv + slope
             # At both ends it shows whether the axis saturates.
             before = stiffness * (u - y) - friction * v
             after = stiffness * (u + slope * length - y1) - friction * v1
@@ -299,14 +303,14 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _CycleMatrix:
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
     omega = math.tau * axis.frequency_hz
     return _Lag(
-        omega=omega,
-        zeta=axis.damping,
-        stiffness=omega * omega,
-        friction=2.0 * axis.damping * omega,
-        shift=2.0 * axis.damping / omega,
-        limit=axis.acceleration_limit,
-        dead_time=axis.dead_time_s,
-        plan=_plan(axis, omega, step, substeps),
+        omega,
+        axis.damping,
+        omega * omega,
+        2.0 * axis.damping * omega,
+        2.0 * axis.damping / omega,
+        axis.acceleration_limit,
+        axis.dead_time_s,
+        _plan(axis, omega, step, substeps),
     )
 
 

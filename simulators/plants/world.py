@@ -349,7 +349,10 @@ class World:
         while sight.next_s < limit:
             t = sight.next_s
             if not self._hubs_seen:
-                self._hubs_seen = self._hubs(sight.upcoming(_AHEAD))[::-1]
+                upcoming = sight.upcoming(_AHEAD)
+                self._hubs_seen = self._hubs(upcoming)[::-1]
+                if self._carried is not None:
+                    self._carried.foresee(upcoming)
             rigid, hub = self._rigid_at(t), self._hubs_seen.pop()
             if self._carried is not None:
                 hub = self._carried.hub_within(t, rigid, hub)

@@ -7,6 +7,7 @@ the counter of the newest telegram.
 
 from __future__ import annotations
 
+import compileall
 import os
 import resource
 import signal
@@ -48,6 +49,7 @@ AT_REST_S: Final = 6.0  # the daemon makes no more steps 5 s after the last tele
 MEASURED_S: Final = 5.0
 SETTLED_S: Final = 2.0  # of a controller that asks, before the daemon's share is measured
 STEPPED_S: Final = 2.0  # the daemon makes steps for 5 s of IDLE
+PACKAGES: Final = ("protocol", "drivers", "daemon")  # that the daemon and its tool import
 OPERATOR: Final = "linemate.daemon.operator.main"
 
 
@@ -112,6 +114,9 @@ class AskingController:
 
 def measure() -> dict[str, Any]:
     """Return medians of starts and returns, and shares of a core while nothing moves."""
+    # As after an installation. A clone's sources that changed would be compiled at each start.
+    for package in PACKAGES:
+        compileall.compile_dir(str(files("linemate") / package), quiet=2)
     with tempfile.TemporaryDirectory(prefix="linemate-") as name:
         folder = Path(name)
         config = _written(folder)

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from operator import add
 
-from linemate.simulators.plants.arm import Values, frames
+from linemate.simulators.plants.arm import Values, frames, link_constants
 from linemate.simulators.plants.bending.effects_arm import Friction
 from linemate.simulators.plants.oscillator import transition
 from linemate.simulators.plants.scenario import Axis, Robot
@@ -89,9 +89,10 @@ class RoughServos:
 def _varied(robot: Robot) -> Callable[[float, Values], tuple[Axis, ...]]:
     """Make the axes for a time and positions."""
     posture, warming = robot.effects.posture, robot.effects.warming
+    links = link_constants(robot.links)
 
     def vary(time_s: float, positions: Values) -> tuple[Axis, ...]:
-        x, y, _ = frames(robot.links, positions)[0][-1]
+        x, y, _ = frames(links, positions)[0][-1]
         share = 1.0 - posture.frequency_share * (math.hypot(x, y) - posture.reach)
         sine = math.sin(math.tau * time_s / posture.dead_time_period_s)
         warm = min(max((time_s - warming.begin_s) / warming.duration_s, 0.0), 1.0)

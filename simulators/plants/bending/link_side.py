@@ -11,7 +11,7 @@ Invariants:
 import math
 from dataclasses import replace
 
-from linemate.simulators.plants.arm import Values, frames
+from linemate.simulators.plants.arm import Values, frames, link_constants
 from linemate.simulators.plants.scenario import DenavitHartenbergLink, Robot
 from linemate.simulators.plants.streams import stream
 
@@ -95,7 +95,7 @@ class _Weights:
     """Moments that the gears carry: weights of upper arm, forearm and hand."""
 
     def __init__(self, robot: Robot) -> None:
-        self._links = robot.links
+        self._links = link_constants(robot.links)
         self._masses = robot.effects.elasticity.masses
         self._unbalanced = 1.0 - robot.effects.elasticity.balanced
 

@@ -14,13 +14,14 @@ from linemate.simulators.plants import rotation
 from linemate.simulators.plants.body import C_IN_BASE
 from linemate.simulators.plants.contact_plant import ContactPlant
 from linemate.simulators.plants.effector import EffectorPlant
+from linemate.simulators.plants.forces import linear
 from linemate.simulators.plants.forces.carrier import CarrierPlant, Mount, swayed
 from linemate.simulators.plants.forces.linear import Array
 from linemate.simulators.plants.rotation import Pose
 from linemate.simulators.plants.scenario import Scenario
 
 _TINY = 1e-9
-_TO_C = np.kron(np.eye(2), np.array(C_IN_BASE).reshape(3, 3).T)
+_TO_C = linear.for_both(np.array(C_IN_BASE).reshape(3, 3).T)
 
 
 class CarriedBody:
@@ -78,6 +79,10 @@ class CarriedBody:
         if mating is not None and self._carrier.yields:
             mating.touch.give_way = lambda: self._carrier.inverse_mass(_to_c(hub))
         return hub
+
+    def foresee(self, times: Array) -> None:
+        """Compute at once what ``hub_within`` needs of the conveyor at ascending times, (n,)."""
+        self._carrier.foresee(times)
 
     def hub_within(self, t: float, rigid: Pose, unmoved: Pose) -> Pose:
         """The hub within the substep that comes next; arguments as for ``hub``."""
@@ -145,7 +150,7 @@ class CarriedBody:
 
 def _to_c(hub: Pose) -> Array:
     """Axes of the hub in c, for vectors of six, (6, 6)."""
-    return np.asarray(_TO_C @ np.kron(np.eye(2), np.array(hub[1]).reshape(3, 3)))
+    return np.asarray(_TO_C @ linear.for_both(np.array(hub[1]).reshape(3, 3)))
 
 
 def _velocity(before: Pose, after: Pose, dt: float) -> Array:

@@ -53,7 +53,7 @@ class Mount:
     def at(cls, rigid: Pose, mass: Array, damping: Array, stiffness: Array) -> "Mount":
         """Turn the values along and about the axes of the rigid tcp, each (6,), into c."""
         turned = _C_IN_BASE.T @ np.array(rigid[1]).reshape(3, 3)
-        axes = np.kron(np.eye(2), turned)
+        axes = linear.for_both(turned)
         in_c = [axes @ np.diag(values) @ axes.T for values in (mass, damping, stiffness)]
         return cls(in_c[0], in_c[1], in_c[2], axes)
 
@@ -63,6 +63,7 @@ class CarrierPlant:
 
     Attributes:
         energy: work that the mount has done on car and held tool, relative to the conveyor [J].
+        expects: the last step was made with a force of the step before.
     """
 
     def __init__(
@@ -89,11 +90,13 @@ class CarrierPlant:
         # Of the conveyor in each step of the grid: speed at its begin, mean acceleration.
         self._begins: list[float] = []
         self._means: list[float] = []
+        # Of the conveyor at instants within steps that are to come, by the instant.
+        self._foreseen: dict[float, float] = {}
         self._count = len(modes)
         self.yields = any(mode.mass for mode in modes)
         self._mount: Mount | None = None
         self._pull = np.zeros(6)
-        self._expected = np.zeros(len(modes))
+        self._expected, self.expects = np.zeros(len(modes)), False
         self._steps: dict[float, linear.Step] = {}
         self._free_step = self._new_step(step_s)
         self._state = np.zeros(2 * self._count)
@@ -146,8 +149,21 @@ class CarrierPlant:
         if dt <= 0.0:
             return self.sway
         self._mean()
-        rise = float(self._speeds(np.array((now + dt,)))[0]) - self._begins[self._index]
+        speed = self._foreseen.pop(now + dt, None)
+        if speed is None:
+            speed = float(self._speeds(np.array((now + dt,)))[0])
+        rise = speed - self._begins[self._index]
         return np.asarray(self._shape @ self._after(dt, rise / dt, pull)[: self._count])
+
+    def foresee(self, times: Array) -> None:
+        """Compute the conveyor's speed at instants of ``peek`` to come, ascending, all at once.
+
+        It depends on time alone, and one instant costs as much as a hundred.
+        """
+        begins = self._start + self._h * np.floor((times - self._start) / self._h + 1e-9)
+        # As ``peek`` does, to the last bit: another instant is computed when it is asked for.
+        times = begins + np.maximum(times - begins, 0.0)
+        self._foreseen = dict(zip(times.tolist(), self._speeds(times).tolist(), strict=True))
 
     def at(self, t: float) -> Array:
         """Displacement and rotation of the hub in c at any time, (6,).
@@ -169,7 +185,7 @@ class CarrierPlant:
             relative: velocity in c that the tool loses, as far as no mode moves, (6,).
         """
         self._mount = mount
-        self._expected = np.zeros(self._count)
+        self._expected, self.expects = np.zeros(self._count), False
         self._new_steps()
         self.push(mount, relative - self._shape @ self.speeds)
 
@@ -186,11 +202,6 @@ class CarrierPlant:
         shape = axes.T @ self._shape
         return np.asarray(shape @ np.linalg.solve(self._mass, shape.T))
 
-    @property
-    def expects(self) -> bool:
-        """The last step was made with a force of the step before."""
-        return bool(self._expected.any())
-
     def strike(self, impulse: Array, impulse_time: Array) -> None:
         """Correct the step that has ended by the impulse that the hub got in it, in c, (6,).
 
@@ -203,6 +214,7 @@ class CarrierPlant:
         given = self._shape.T @ np.column_stack((impulse_time, impulse))
         more = given - np.outer(self._expected, (0.5 * h * h, h))
         self._expected = given[:, 1] / h
+        self.expects = bool(self._expected.any())
         gained = np.linalg.solve(self._mass, more)
         self._state = self._state + gained.T.ravel()
         self._history[-1] = self._state

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linemate.simulators.plants import rotation
+from linemate.simulators.plants.forces.linear import for_both
 from linemate.simulators.plants.forces.switches import Mating
 from linemate.simulators.plants.rotation import Pose
 
@@ -137,7 +138,7 @@ class Touch:
             Deflection and velocity at the end, in the axes of the beginning.
         """
         first, last = (np.array((*p, *rotation.log(r))) for p, r in rigid)
-        axes = np.kron(np.eye(2), np.array(rigid[0][1]).reshape(3, 3))
+        axes = for_both(np.array(rigid[0][1]).reshape(3, 3))
         count = max(1, math.ceil(step_s / MICRO_S - 1e-9))
         h, held = step_s / count, self._suspension
         drift = (last - first) / step_s

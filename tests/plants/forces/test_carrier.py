@@ -202,6 +202,29 @@ def test_a_peek_ends_where_the_step_ends_and_is_smooth_between() -> None:
     assert seen[0] > seen[1] > seen[2]
 
 
+def test_speeds_that_are_foreseen_change_no_bit_of_a_peek() -> None:
+    times = 0.9995 + 0.0331 * np.arange(8)
+    peeks = []
+    for foresees in (False, True):
+        asked: list[int] = []
+
+        def speeds(at: np.ndarray, asked: list[int] = asked) -> np.ndarray:
+            asked.append(len(at))
+            return ramp(-0.13, 1.0, 1.8)(at)
+
+        plant = carrier(CarrierMode(frequency_hz=1.0, damping=0.1, drive=0.9), speeds=speeds)
+        if foresees:
+            plant.foresee(times)
+        seen = []
+        for t in times.tolist():
+            while plant._now() + STEP <= t:
+                plant.advance()
+            seen.append(plant.peek(t).tobytes())
+        peeks.append(seen)
+        assert asked.count(1) == (0 if foresees else len(times))
+    assert peeks[0] == peeks[1]
+
+
 def test_the_future_without_contact_is_what_happens() -> None:
     plant = carrier(CarrierMode(frequency_hz=0.8), speeds=ramp(-0.1, 0.5, 1.5))
     for _ in range(100):

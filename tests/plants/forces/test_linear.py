@@ -41,3 +41,8 @@ def test_two_half_steps_are_a_whole_one() -> None:
     matrices = np.eye(2) * 150, np.eye(2) * 60, np.array([[4e5, 5e4], [5e4, 6e4]])
     half, whole = (linear.step(*matrices, dt) for dt in (0.002, 0.004))
     assert half.state @ half.state == pytest.approx(whole.state, rel=1e-10, abs=1e-12)
+
+
+def test_axes_turn_both_halves_of_a_vector_of_six() -> None:
+    axes = np.arange(1.0, 10.0).reshape(3, 3)
+    assert (linear.for_both(axes) == np.kron(np.eye(2), axes)).all()
