@@ -481,7 +481,9 @@ def _with_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> 
     if wrench is None or not is_seated(tracker, state) or state.history is None:
         return state
     axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
-    offset = float(axis @ state.compliance.offset)
+    # The compliance begins where the tool touched: that is no advance of the target.
+    begun = state.compliance.press is not None
+    offset = float(axis @ state.compliance.offset) if begun else None
     before, force = state.force_sign, float(wrench.force[2])
     sign = force_sign.advanced(before, force, offset, tracker.settings.tactile.contact_force)
     if sign.is_suspect and state.releasing is None and state.touching > force_sign.SEATED_S:

@@ -569,7 +569,8 @@ def update_contact(
         rubs = contact.may_rub(reach, bolts)
         has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
         if has_contact:
-            sign = force_sign.at_touch(force, tracker.vibration.force)
+            shown = tare.shows_weight(after.tare, tracker.settings.tactile)
+            sign = force_sign.at_touch(force, tracker.vibration.force, shows_weight=shown)
         if has_contact and not after.clamped:
             touched = _touched_programme(tracker, before, after, reach)
             search = guard.ContactSearch(reach, search.lasted)

@@ -68,6 +68,16 @@ def test_a_contact_felt_by_a_push_is_not_suspect() -> None:
     assert force_sign.at_touch(-20.0, LEAST_N) == TRUSTED
 
 
+def test_a_pull_on_a_sensor_that_has_shown_the_tools_weight_is_not_suspect() -> None:
+    assert force_sign.at_touch(60.0, LEAST_N, shows_weight=True) == TRUSTED
+
+
+def test_where_the_offset_of_a_contact_begins_is_no_advance_of_the_target() -> None:
+    sign = force_sign.advanced(TRUSTED, 30.0, None, LEAST_N)
+    sign = force_sign.advanced(sign, 35.0, 0.0014, LEAST_N)
+    assert not sign.is_suspect
+
+
 def test_a_pull_places_the_object_no_farther_than_the_tool() -> None:
     assert force_sign.nearer(60.0) == -60.0
     assert force_sign.nearer(-20.0) == -20.0

@@ -1,5 +1,7 @@
 """Object as bolts in their holes feel it."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -26,9 +28,10 @@ def in_tool(found: np.ndarray | None) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("distance", "is_in"), [(-0.05, False), (-0.024, False), (-0.02, True), (0.001, False)]
+    ("distance", "is_in"),
+    [(-0.05, False), (-0.024, False), (-0.02, True), (0.003, True), (math.inf, False)],
 )
-def test_bolts_are_in_their_holes_between_the_tips_entry_and_the_touch(
+def test_bolts_are_in_their_holes_from_the_tips_entry_on_also_beyond_the_estimated_object(
     distance: float, is_in: bool
 ) -> None:
     assert held_bolts.is_entered(PAYLOAD, distance) is is_in

@@ -57,6 +57,27 @@ def test_a_configured_payload_tells_weight_from_bias() -> None:
     assert state.sag[4] == pytest.approx(-0.1 * 2.0 * tare.GRAVITY / 2000.0)
 
 
+@pytest.mark.parametrize(
+    ("free", "shows"),
+    [
+        (wrench(WEIGHT), True),
+        (wrench(0.8 * WEIGHT, 60.0), True),
+        (wrench(-WEIGHT), False),
+        (wrench(0.5 * WEIGHT, WEIGHT), False),
+        (wrench(9.0), False),
+    ],
+)
+def test_only_a_force_along_the_payloads_weight_shows_the_sign_of_the_sensor(
+    free: Wrench, shows: bool
+) -> None:
+    assert tare.shows_weight(hung(free, PayloadSettings(mass=25.0)), MOUNT) is shows
+
+
+def test_a_tool_without_a_weight_shows_no_sign() -> None:
+    assert not tare.shows_weight(hung(wrench(0.0, 60.0)), MOUNT)
+    assert not tare.shows_weight(NO_TARE, MOUNT)
+
+
 def test_contact_and_weight_bend_the_mount_together() -> None:
     state = hung(wrench(WEIGHT))
     contact = tare.tared(state, wrench(WEIGHT, 50.0), MOUNT)

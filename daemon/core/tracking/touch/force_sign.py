@@ -6,7 +6,8 @@ every advance, and the tool presses deeper into the object.
 
 Invariants:
 - A suspect force moves neither the estimate nor, but for its test, the target.
-- A contact that was felt by a pull is suspect from its beginning.
+- A contact that was felt by a pull is suspect from its beginning, unless the sensor has shown the
+  weight of the free tool: then its sign is right, and the object pulls.
 - A pull that does not fall while the target advances is suspect.
 - A push of a contact's force clears it.
 - A suspect force is tested: the target advances slowly, and a right force falls. Then it is
@@ -53,27 +54,28 @@ class ForceSign(Struct, frozen=True):
 TRUSTED = ForceSign()
 
 
-def at_touch(force: float, least: float) -> ForceSign:
+def at_touch(force: float, least: float, *, shows_weight: bool = False) -> ForceSign:
     """Return the state of a contact that begins.
 
     Args:
         force: along the tool's axis, less than 0 if it pushes the tool back [N].
         least: force of a contact [N].
+        shows_weight: the sensor showed the weight of the free tool.
     """
-    return ForceSign(is_suspect=force > least)
+    return ForceSign(is_suspect=force > least and not shows_weight)
 
 
-def advanced(sign: ForceSign, force: float, offset: float, least: float) -> ForceSign:
+def advanced(sign: ForceSign, force: float, offset: float | None, least: float) -> ForceSign:
     """Return the state one step later.
 
     Args:
         force: along the tool's axis, less than 0 if it pushes the tool back [N].
-        offset: of the target by force, along the tool's axis [m].
+        offset: of the target by force, along the tool's axis [m]; None before it has begun.
         least: force of a contact [N].
     """
     if force < -least:
         return TRUSTED
-    if sign.is_suspect:
+    if sign.is_suspect or offset is None:
         return sign
     if force <= least:
         return TRUSTED

@@ -1,6 +1,7 @@
 """Object as the bolts of a free tool show it: they press on a side of their holes.
 
 From the tips' entry to the touch a camera that is blind near the object sees nothing for seconds.
+The bolts are in their holes beyond the estimated object too, until the touch is felt.
 A force across the tool's axis shows then where the object is: off the tool by the bolts' play, to
 the side to which it pushes.
 
@@ -32,7 +33,7 @@ def is_entered(payload: PayloadSettings, distance: float) -> bool:
     Args:
         distance: programmed, from the tcp to the object along its z [m].
     """
-    return payload.bolt_play > 0.0 and ENTERED - payload.bolts < distance < 0.0
+    return payload.bolt_play > 0.0 and ENTERED - payload.bolts < distance < math.inf
 
 
 def place(

@@ -118,6 +118,16 @@ def _sag(
     return np.asarray(mean / np.array(stiffness))
 
 
+def shows_weight(tare: Tare, mount: TactileNoise) -> bool:
+    """Return whether the free tool's mean force was its weight: the sensor has the right sign."""
+    if tare.wrench is None or tare.sag is None:
+        return False
+    force, weight = tare.wrench[:3], tare.sag[:3] * np.array(mount.stiffness)
+    size = float(np.linalg.norm(force))
+    along = float(force.dot(weight))
+    return size > WEIGHT_N and along > SHARE * size * float(np.linalg.norm(weight))
+
+
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
     """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known.
 
