@@ -159,7 +159,7 @@ class TrackerState(Struct, frozen=True, eq=False):
             [ns, m].
         monitor: past predictions of the object and their errors.
         motion: class of the conveyor in the last step.
-        steady_s: time since it changed [s].
+        steady_s: time since it changed [s]; less than 0 after a change that was taken back.
         looked_s: for how long the camera has seen the object since then [s]; infinity if it never
             changed.
         look_ns: exposure of the last image that counts in it [ns].

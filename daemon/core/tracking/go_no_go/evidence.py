@@ -22,6 +22,7 @@ EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the ho
 FOLLOWING_S = 0.2  # time constant of the mean following error [s]
 LONGEST_SPACING_S = 0.1  # between two images of a camera that sees the object [s]
 FOLLOWED_S = 0.5  # a change of class is confirmed and the tool follows it after this time [s]
+TAKEN_BACK_S = 0.75  # for which a change that was taken back counts in addition to STEADY_S [s]
 MIXED = 1.0  # log odds below even ones from which a change of class moves a prediction by 1 mm
 NEAREST_BACK = 0.005  # a tool without a force backs off only from farther away [m]
 _ENDS = {Motion.STANDING: Motion.STOPPING, Motion.RUNNING: Motion.STARTING}
@@ -213,16 +214,21 @@ def _note_class(
     """Return the state with the time since the conveyor's class changed.
 
     Predictions of the class before are no evidence any more. The end of a ramp is no change: it
-    was predicted.
+    was predicted. A change that is taken back was decided wrongly: the next one may be as well, and
+    counts for longer.
     """
     if view is None:
         return state
-    is_end = _ENDS.get(view.motion) is state.motion
+    is_taken_back = any(what == "cancelled" for _, what in view.events)
+    is_end = _ENDS.get(view.motion) is state.motion and not is_taken_back
     has_changed = view.motion is not state.motion and not is_end
     if has_changed or ("push", "confirmed") in view.events:
         monitor = prediction_error.forget(state.monitor)
         looked_s = 0.0 if has_changed else state.looked_s
-        return replace(state, motion=view.motion, steady_s=0.0, monitor=monitor, looked_s=looked_s)
+        steady_s = -TAKEN_BACK_S if has_changed and is_taken_back else 0.0
+        return replace(
+            state, motion=view.motion, steady_s=steady_s, monitor=monitor, looked_s=looked_s
+        )
     return replace(state, motion=view.motion, steady_s=state.steady_s + tracker.cycle_s)
 
 

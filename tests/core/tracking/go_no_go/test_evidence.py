@@ -130,6 +130,33 @@ def test_what_is_seen_of_a_robot_that_does_not_track_counts(tracker: Tracker) ->
     assert not evidence.is_look_due(tracker, state, STOPS)
 
 
+def changed(tracker: Tracker, view: ConveyorEstimate, what: str) -> TrackerState:
+    """Return the state of the step in which a start was decided so."""
+    started = evidence.note(tracker, seen_running(tracker), STARTS)
+    return evidence.note(tracker, started, replace(view, events=(("start", what),)))
+
+
+@pytest.mark.parametrize("view", [RUNS, STOPS])
+def test_a_change_that_is_taken_back_counts_for_longer(
+    tracker: Tracker, view: ConveyorEstimate
+) -> None:
+    state = changed(tracker, view, "cancelled")
+    assert state.steady_s == -evidence.TAKEN_BACK_S
+    assert stepped(tracker, state, view, 0.6, sees=True).steady_s < 0.0
+    assert changed(tracker, STOPS, "confirmed").steady_s == 0.0
+
+
+def test_a_tentative_change_that_is_taken_back_is_none(tracker: Tracker) -> None:
+    state = seen_running(tracker)
+    later = evidence.note(tracker, state, replace(RUNS, events=(("stop", "cancelled"),)))
+    assert later.steady_s > state.steady_s
+
+
+def test_the_end_of_a_start_is_no_change(tracker: Tracker) -> None:
+    started = evidence.note(tracker, seen_running(tracker), STARTS)
+    assert evidence.note(tracker, started, RUNS).steady_s > started.steady_s
+
+
 def test_a_prediction_is_certain_if_neither_covariance_nor_a_change_speaks_against_it(
     tracker: Tracker,
 ) -> None:
