@@ -133,6 +133,8 @@ class Sight:
     covariance: bool = True
     outliers: float = 0.02
     seed: int = 0
+    slow: float = 0.0
+    """Errors correlated over 0.5 s, in deviations of the white ones."""
 
 
 CAMERA = (np.array((-0.10, 0.0, -0.15)), np.eye(3))
@@ -158,6 +160,8 @@ def seen(sight: Sight) -> Trace:
     positions = np.zeros((len(exposures), 3))
     turned = np.zeros((len(exposures), 3, 3))
     deviations = np.zeros((len(exposures), 6))
+    kept = math.exp(-0.025 / 0.5)
+    slow = np.zeros(6)
     mount = CAMERA[0] + np.array(sight.hand_eye[:3])
     mounted = CAMERA[1] @ rotations.exp(np.array(sight.hand_eye[3:]))
     for i, (now, pose) in enumerate(zip(truth, way(truth), strict=True)):
@@ -168,7 +172,9 @@ def seen(sight: Sight) -> Trace:
         eye, view = pose[:3] + R @ mount, R @ mounted
         lateral, angle = 0.25e-3 + 1.2e-3 * far, 0.6e-3 + 4e-3 * far
         deviations[i] = (lateral, lateral, 2.0 * lateral, angle, angle, angle)
-        noise = deviations[i] * rng.normal(size=6)
+        if sight.slow:
+            slow = kept * slow + sight.slow * math.sqrt(1.0 - kept**2) * rng.normal(size=6)
+        noise = deviations[i] * (rng.normal(size=6) + slow)
         positions[i] = view.T @ (place - eye) + noise[:3]
         if rng.random() < sight.outliers:
             positions[i] += rng.uniform(-0.03, 0.03, 3)

@@ -30,6 +30,7 @@ ITERATIONS = 15
 SETTLED = 1e-7  # least gain of a further step, as a share of the cost
 LEAST_IMAGES = 40
 ALONG = 0.0003  # deviation of the conveyor's position by the distance sensor [m]
+BLOCK_S = 2.0  # errors of images this far apart are independent: a camera's are for 0.1 to 1 s [s]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +242,8 @@ def fit(
             kept[i] = np.abs(weighed).max(axis=1) < GATE * max(scale, 0.2)
     A, _ = _normal(scene, seen, camera, kept, shared)
     chi2 = _chi2(scene, seen, camera, kept)
-    covariance = np.linalg.pinv(A, hermitian=True) * max(chi2, 1e-12)
+    growth = _growth(scene, seen, camera, kept)
+    covariance = np.linalg.pinv(A, hermitian=True) * max(chi2 * growth, 1e-12)
     first = _size(scene) - _shared_size(scene)
     deviations = np.sqrt(np.maximum(covariance.diagonal()[:first], 0.0))
     rest_deviations = deviations.reshape(len(scene.rests), -1)[:, :6]
@@ -365,6 +367,24 @@ def _normal(
         A[np.arange(size - 7, size), np.arange(size - 7, size)] = 1.0
         g[size - 7 :] = 0.0
     return A, g
+
+
+def _growth(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+    """Return how much larger a covariance is than if each image had errors of its own.
+
+    It is the spread of blocks' sums over that of independent residuals. A fit takes its parameters'
+    share out of the sums.
+    """
+    together, alone, count = 0.0, 0.0, 0
+    for i, view in enumerate(seen):
+        weighed = (residuals(scene, i, view, camera) / spread(view))[kept[i]]
+        blocks = ((view.times[kept[i]] - view.times[0]) / BLOCK_S).astype(int)
+        sums = np.zeros((int(blocks.max(initial=0)) + 1, weighed.shape[1]))
+        np.add.at(sums, blocks, weighed)
+        together, alone = together + float(np.sum(sums**2)), alone + float(np.sum(weighed**2))
+        count += sums.size
+    free = max(count - _size(scene), 1)
+    return max(together / max(alone, 1e-12) * count / free, 1.0)
 
 
 def _moved(scene: SceneFit, step: Array) -> SceneFit:

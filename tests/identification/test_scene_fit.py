@@ -111,6 +111,18 @@ def test_a_camera_that_hangs_crooked_and_stamps_late_is_found_out() -> None:
     assert result.stamp_error.deviation < 0.002
 
 
+def test_deviations_hold_for_a_camera_whose_errors_last_half_a_second() -> None:
+    crooked = (0.004, -0.003, 0.005, 0.006, -0.004, 0.008)
+    offs = []
+    for seed in range(4):
+        found, _ = looked(seen(Sight(hand_eye=crooked, slow=1.0, seed=seed)))
+        assert found is not None
+        deviations = np.sqrt(found.covariance.diagonal()[-7:-1])
+        offs.append((found.hand_eye - np.array(crooked)) / deviations)
+    assert np.abs(offs).max() < 4.0
+    assert 0.3 < float(np.sqrt(np.mean(np.square(offs)))) < 2.0
+
+
 def test_a_good_camera_is_left_alone_before_a_moving_object_too() -> None:
     result = camera(seen(Sight(speed=0.106)))
     for outcome in (*result.position, *result.rotation, result.stamp_error):
