@@ -92,6 +92,8 @@ class Outputs(Struct, frozen=True, eq=False):
         waited_s: how long it has waited before contact, in all [s]; None if it has not.
         swinging_n: rms force of an oscillation in contact that softening does not make smaller [N];
             None if there is none.
+        unanswered_n: mean force of a contact that is suspect and has answered none of its tests
+            [N]; None if there is none.
     """
 
     k: int
@@ -121,6 +123,7 @@ class Outputs(Struct, frozen=True, eq=False):
     waiting: str | None = None
     waited_s: float | None = None
     swinging_n: float | None = None
+    unanswered_n: float | None = None
 
 
 def _joints(parameters: Parameters, robot: RobotSample) -> Array:
@@ -541,6 +544,7 @@ def _outputs(
         waiting=evidence.waiting(parameters.tracker, tracker),
         waited_s=tracker.go.waited_s or None,
         swinging_n=tracking.swinging(parameters.tracker, tracker),
+        unanswered_n=tracking.unanswered(parameters.tracker, tracker),
     )
 
 

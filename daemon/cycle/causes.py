@@ -45,6 +45,7 @@ class Evidence(Struct, frozen=True, eq=False):
         fault: the cause of the latched fault.
         waiting: why the tool waits before contact, None if it does not.
         swinging_n: rms force of an oscillation that softening does not end [N], None if none.
+        unanswered_n: mean force of a contact that has answered no test [N], None if none.
     """
 
     facts: watch.Facts
@@ -58,6 +59,7 @@ class Evidence(Struct, frozen=True, eq=False):
     fault: str | None
     waiting: str | None = None
     swinging_n: float | None = None
+    unanswered_n: float | None = None
 
 
 class Change(Struct, frozen=True):
@@ -255,6 +257,9 @@ def _overload(_: Signals, evidence: Evidence) -> Explanation:
     if evidence.swinging_n is not None:
         swing = f"an oscillation of {evidence.swinging_n:.0f} N rms does not fall in contact"
         return swing, "Check the mount's stiffness and the hanger."
+    if evidence.unanswered_n is not None:
+        pull = f"a force of {evidence.unanswered_n:.0f} N answered no motion of the tool in contact"
+        return pull, "Check the sign and the axes of the force-torque sensor."
     todo = "Check that nothing is jammed."
     if evidence.overload_n is None:
         return "force beyond the limit", todo

@@ -211,6 +211,7 @@ class Operating:
             following_error=situation.following_error,
             overload_n=samples.overload_n,
             swinging_n=None if last is None else last.swinging_n,
+            unanswered_n=None if last is None else last.unanswered_n,
             ordered_by=orders,
             fault=self.fault,
         )
@@ -246,6 +247,7 @@ class Operating:
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
         lost = situation.last_approach and samples.distance_health.reason is not None
         contradicted = contradicted or (state is State.TRACK and lost)
+        has_no_end = last.swinging_n is not None or last.unanswered_n is not None
         return watch.Facts(
             stamp_ns=stamp_ns,
             telegram=telegram,
@@ -268,7 +270,7 @@ class Operating:
             settling=situation.settling,
             outwaited=situation.longest_wait_s < (last.waited_s or 0.0),
             overdue=last.overdue,
-            overload=samples.overloaded or last.swinging_n is not None,
+            overload=samples.overloaded or has_no_end,
             done=last.phase is Phase.RETREAT,
             fault=self.has_failed,
             home_blocked=_home_refusal(situation) is not None,

@@ -55,7 +55,7 @@ class Signals:
             on the way home, the way is.
         contact: the tool touches the object, or is so near that to stop would end there.
         overload: the force is beyond the tool's limit, or it swings in contact and does not fall
-            though the contact is softened.
+            though the contact is softened, or it answers no motion of the tool.
         outwaited: the tool has waited before contact for longer than the task allows.
         overdue: the tool has not done in its time what the programme needs: in contact and in a
             retreat the clamp has not opened; in TRACK no contact was found.

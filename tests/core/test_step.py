@@ -28,6 +28,7 @@ from linemate.daemon.core.step import (
 )
 from linemate.daemon.core.tracking import estimation, tracker, tracker_state
 from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.touch.force_sign import TESTS, UNANSWERED, ForceSign
 from linemate.daemon.recording import snapshot
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
@@ -277,6 +278,42 @@ def test_a_force_beyond_overload_does_not_measure_the_object(assembly: Assembly)
         assert wrench is not None
         assert after.conveyor is not None
         assert after.conveyor.contact == counts
+
+
+def suspect(assembly: Assembly, **changes: Any) -> tuple[tracker_state.TrackerState, Inputs]:
+    """A contact whose force is suspect, and the inputs of its next step."""
+    k = next(k for k, o in enumerate(assembly.outputs) if o.contact)
+    state, inputs = assembly.states[k + 1].tracker, assembly.inputs[k + 1]
+    sign = ForceSign(is_suspect=True, failed=TESTS)
+    return replace(state, contact=True, touching=1.0, force_sign=sign, **changes), inputs
+
+
+def test_a_large_force_that_answered_no_test_has_no_end(assembly: Assembly) -> None:
+    limit = UNANSWERED * P.tracker.settings.tactile.overload_force
+    state, _ = suspect(assembly, pull=(1.1 * limit, 0.0, 0.0))
+    assert tracker.unanswered(P.tracker, state) == pytest.approx(1.1 * limit)
+    for off in (
+        {"pull": (0.9 * limit, 0.0, 0.0)},
+        {"releasing": 0.1},
+        {"contact": False},
+        {"force_sign": ForceSign(is_suspect=True, failed=TESTS - 1)},
+    ):
+        assert tracker.unanswered(P.tracker, replace(state, **off)) is None
+
+
+def test_a_suspect_force_that_swings_is_observed_and_moves_no_target(assembly: Assembly) -> None:
+    state, inputs = suspect(assembly)
+    offset, part = state.compliance.offset, np.zeros(6)
+    for step_ in range(40):
+        stamp_ns = inputs.stamp_ns + step_ * 12_000_000
+        history = estimation.remember(state.history, stamp_ns, state.poses[0], 20)
+        force = np.array((0.0, 60.0 * np.sin(0.4 * step_), 0.0))
+        wrench = estimation.Wrench(force, np.zeros(3), stamp_ns, 1)
+        samples = tracker_state.StepSamples(stamp_ns, None, stamp_ns, (), (), (), 0)
+        state = replace(state, history=history)
+        state = estimation.comply(P.tracker, state, samples, None, wrench, part)
+    assert state.compliance.power > 20.0**2
+    assert state.compliance.offset == offset
 
 
 def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Assembly) -> None:

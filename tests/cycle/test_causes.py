@@ -235,6 +235,24 @@ def test_a_state_that_does_not_change_says_nothing(app: App) -> None:
     assert app.cycle.take_changes() == []
 
 
+def test_a_force_that_answers_no_motion_is_the_cause_that_is_named() -> None:
+    evidence = causes.Evidence(
+        watch.Facts(NOW_NS, True),
+        Watch(Link.HEALTHY, NOW_NS, good=90, state=State.CONTACT),
+        WatchSettings(),
+        {},
+        unready=None,
+        following_error=None,
+        overload_n=None,
+        ordered_by={},
+        fault=None,
+        unanswered_n=120.0,
+    )
+    words, todo = causes._overload(Signals(Link.HEALTHY), evidence)
+    assert words == "a force of 120 N answered no motion of the tool in contact"
+    assert todo == "Check the sign and the axes of the force-torque sensor."
+
+
 def test_a_robot_that_got_no_setpoints_is_the_cause_that_is_named() -> None:
     evidence = causes.Evidence(
         watch.Facts(NOW_NS, True, unled_s=0.08),

@@ -314,12 +314,14 @@ def comply(
     history = state.history
     if wrench is None and state.compliance.press is not None:
         return replace(state, compliance=compliance.waiting(state.compliance))
-    if wrench is None or history is None or not is_force_used(tracker, state, wrench):
+    if wrench is None or history is None:
         return state
     tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
     if tcp is None:
         return state
     R = rotations.exp(tcp[3:])
+    if not is_force_used(tracker, state, wrench):
+        return _observed(tracker, state, R.dot(wrench.force))
     mount = tracker.settings.tactile
     bending = tare.bending(state.tare, wrench, mount) or wrench
     shift = R.dot(bending.force / np.array(mount.stiffness))
@@ -343,6 +345,22 @@ def comply(
         is_at_rest=view is not None and view.motion in {Motion.STANDING, Motion.STARTING},
     )
     return replace(state, compliance=later)
+
+
+def _observed(tracker: Tracker, state: TrackerState, force: Array) -> TrackerState:
+    """Return the state with the oscillation of a suspect force, which moves no target.
+
+    Whatever its sign, a force that swings and does not fall has to end.
+
+    Args:
+        force: (3,) on the clamped tool, in c [N].
+    """
+    is_seated_long = state.contact and state.touching > compliance.SEATED_S
+    if not (is_seated_long and state.force_sign.is_suspect and state.releasing is None):
+        return state
+    before, (x, y, z) = state.compliance, force.tolist()
+    later = compliance.advance(before, tracker.compliance, (x, y, z), before.offset, state.touching)
+    return replace(state, compliance=replace(later, offset=before.offset))
 
 
 def felt_part(state: TrackerState, part: Array) -> Array:

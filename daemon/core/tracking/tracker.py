@@ -372,6 +372,14 @@ def swinging(tracker: Tracker, state: TrackerState) -> float | None:
     return compliance.unending(state.compliance, tracker.settings.tactile.overload_force)
 
 
+def unanswered(tracker: Tracker, state: TrackerState) -> float | None:
+    """Return the mean force [N] of a contact whose suspect force has answered none of its tests."""
+    if not state.contact or state.releasing is not None:
+        return None
+    overload = tracker.settings.tactile.overload_force
+    return force_sign.unanswered(state.force_sign, math.hypot(*state.pull), overload)
+
+
 def _with_oscillation(
     tracker: Tracker, report: Report, *, was_soft: bool, state: TrackerState
 ) -> Report:

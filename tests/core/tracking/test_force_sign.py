@@ -125,6 +125,22 @@ def test_a_target_goes_back_where_the_force_grows() -> None:
     assert largest < 120.0
 
 
+@pytest.mark.parametrize(
+    ("sign", "mean", "ends"),
+    [
+        (ForceSign(is_suspect=True, failed=force_sign.TESTS), 90.0, True),
+        (ForceSign(is_suspect=True, failed=force_sign.TESTS), 80.0, False),
+        (ForceSign(is_suspect=True, failed=force_sign.TESTS, is_failed=True), 90.0, False),
+        (ForceSign(is_suspect=True, failed=1), 90.0, False),
+        (TRUSTED, 90.0, False),
+    ],
+)
+def test_a_large_force_that_answers_no_test_ends_the_contact(
+    sign: ForceSign, mean: float, *, ends: bool
+) -> None:
+    assert force_sign.unanswered(sign, mean, 350.0) == (mean if ends else None)
+
+
 def test_the_tests_of_a_wrong_force_end() -> None:
     sign = ForceSign(is_suspect=True, failed=force_sign.TESTS)
     for _ in range(1000):

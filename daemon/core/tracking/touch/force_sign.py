@@ -12,6 +12,7 @@ Invariants:
 - A push of a contact's force clears it.
 - A suspect force is tested: the target advances slowly, and a right force falls. Then it is
   cleared. If the force grows, or does not answer, the target goes back.
+- A large force that has answered none of its tests ends the contact: nothing would unload it.
 """
 
 from msgspec import Struct
@@ -25,6 +26,7 @@ MEAN_S = 0.5  # time constant of that mean: a body in contact sways at 0.5 Hz or
 LONGEST_M = 0.006  # way of a test: a body on a soft carrier gives way to most of it [m]
 REST_S = 1.0  # before each test [s]
 TESTS = 4  # that may fail
+UNANSWERED = 0.25  # share of the overload, as a mean, that a contact may have after them
 
 
 class ForceSign(Struct, frozen=True):
@@ -106,6 +108,17 @@ def tested(sign: ForceSign, force: float, dt: float) -> ForceSign:
     if mean > before + TEST_N or way > LONGEST_M:
         return replace(sign, is_failed=True, failed=sign.failed + 1)
     return replace(sign, way=way)
+
+
+def unanswered(sign: ForceSign, mean: float, overload: float) -> float | None:
+    """Return the mean force of a contact that answers no test [N], or None.
+
+    Args:
+        mean: size of the mean force on the tool [N].
+        overload: force that the tool withstands [N].
+    """
+    is_over = sign.is_suspect and sign.failed >= TESTS and not sign.is_failed
+    return mean if is_over and mean > UNANSWERED * overload else None
 
 
 def nearer(force: float) -> float:
