@@ -189,13 +189,45 @@ def log_many(R: Array) -> Array:
     s = 2.0 * np.sqrt(trace + 1.0)
     vector = R[:, (2, 0, 1), (1, 2, 0)] - R[:, (1, 2, 0), (2, 0, 1)]
     vector /= s[:, None]
+    return _log_quaternions(0.25 * s, vector)
+
+
+def _log_quaternions(w: Array, vector: Array) -> Array:
+    """Return rotation vectors (m, 3) of unit quaternions, w (m,) > 0 and vector (m, 3)."""
     x, y, z = vector.T
-    w, n = 0.25 * s, np.sqrt(x * x + y * y + z * z)
+    n = np.sqrt(x * x + y * y + z * z)
     # math's arc tangent, for numpy's depends on the processor in its last bit.
     angles = np.array(list(map(math.atan2, n.tolist(), w.tolist())))
     small = n < SMALL
-    vector *= np.where(small, 2.0 / w, 2.0 * angles / np.where(small, 1.0, n))[:, None]
-    return vector
+    scale = 2.0 * np.where(small, 1.0, angles) / np.where(small, w, n)
+    logs: Array = vector * scale[:, None]
+    return logs
+
+
+def turned_many(r: Array, turn: Array, arm: Array) -> tuple[Array, Array]:
+    """Return rotation vectors (m, 3) of ``exp(r) @ exp(turn)``, and an arm turned by them (m, 3).
+
+    By quaternions, which take a third to half of the time of matrices. Angles are below pi.
+
+    Args:
+        r: rotation vectors (m, 3) [rad].
+        turn, arm: (3,), the same for all.
+    """
+    half = 0.5 * np.sqrt(np.einsum("ij,ij->i", r, r))
+    small = half < SMALL
+    sine = np.sin(half) / np.where(small, 1.0, half)
+    scale = 0.5 * np.where(small, 1.0 - half * half / 6.0, sine)
+    w, x, y, z = exp_quaternion(*turn.tolist())
+    q = np.concatenate((np.cos(half)[:, None], scale[:, None] * r), axis=1).dot(
+        np.array(((w, x, y, z), (-x, w, -z, y), (-y, z, w, -x), (-z, -y, x, w)))
+    )
+    scalar, vector = q[:, 0], q[:, 1:]
+    if bool((scalar < 0.0).any()):
+        q *= np.where(scalar < 0.0, -1.0, 1.0)[:, None]
+    # u + w t + v x t with t = 2 v x u is u turned by (w, v).
+    t = vector.dot(2.0 * skew(arm))
+    across = vector[:, (1, 2, 0)] * t[:, (2, 0, 1)] - vector[:, (2, 0, 1)] * t[:, (1, 2, 0)]
+    return _log_quaternions(scalar, vector), arm + scalar[:, None] * t + across
 
 
 def exp_quaternion(x: float, y: float, z: float) -> Quaternion:

@@ -150,6 +150,19 @@ def test_many_at_once_are_what_they_are_one_by_one(rows: list[Array]) -> None:
     assert np.allclose(rotations.log_many(singly), stacked, atol=1e-10)
 
 
+@quick
+@given(st.lists(vectors(), min_size=1, max_size=6), vectors(), vectors())
+def test_many_are_turned_with_an_arm_as_one_by_one(
+    rows: list[Array], turn: Array, arm: Array
+) -> None:
+    turns, arms = rotations.turned_many(np.array(rows), turn, arm)
+    for row, turned, at in zip(rows, turns, arms, strict=True):
+        R = rotations.exp(row) @ rotations.exp(turn)
+        assert np.allclose(rotations.exp(turned), R, atol=1e-13)
+        assert np.linalg.norm(turned) <= math.pi + 1e-9
+        assert np.allclose(at, R @ arm, atol=1e-13)
+
+
 @pytest.mark.parametrize("size", [1e-8, 0.999e-6, 1.001e-6, 0.9e-4, 1.1e-4])
 def test_series_and_closed_forms_meet_where_one_gives_way_to_the_other(size: float) -> None:
     r = size * np.array((0.36, -0.48, 0.8))

@@ -111,7 +111,14 @@ def _led(
         way = q + depth * w - x
         # The motor has to go farther than the link by what winds up on the way.
         slope = depth * (1.0 - math.copysign(w, w * way)) / travel
-        x, w = turned(x, w, way / (1.0 - min(slope, LARGEST_SLOPE)), travel)
+        way /= 1.0 - min(slope, LARGEST_SLOPE)
+        # ``turned``, written out: these are most of its calls.
+        if way > JITTER:
+            way -= JITTER
+            x, w = x + way, 1.0 + (w - 1.0) * math.exp(-way / travel)
+        elif way < -JITTER:
+            way += JITTER
+            x, w = x + way, -1.0 + (w + 1.0) * math.exp(way / travel)
         if len(led) == 1:
             later = x, w
         led.append(q + depth * w)

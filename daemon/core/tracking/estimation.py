@@ -235,10 +235,12 @@ def elastic(state: TrackerState, pose: Array) -> Array:
     """Return the elastic tcp (6,) of a rigid one that hangs still."""
     if state.tare.sag is None:
         return pose
-    sag = state.tare.borne * state.tare.sag
-    R = rotations.exp(pose[3:])
-    turned = rotations.log(R @ rotations.exp(sag[3:]))
-    return np.concatenate((pose[:3] + R @ sag[:3], turned))
+    x, y, z, *at = pose.tolist()
+    dx, dy, dz, *bend = (state.tare.borne * state.tare.sag).tolist()
+    a, b, c, d, e, f, g, h, i = rotations.exp_rows(*at)
+    place = x + a * dx + b * dy + c * dz, y + d * dx + e * dy + f * dz, z + g * dx + h * dy + i * dz
+    turned = rotations.multiply(rotations.exp_quaternion(*at), rotations.exp_quaternion(*bend))
+    return np.array((*place, *rotations.log_quaternion(turned).tolist()))
 
 
 def sagging(state: TrackerState, target: Array) -> Array:
@@ -249,11 +251,11 @@ def sagging(state: TrackerState, target: Array) -> Array:
     """
     if state.tare.sag is None:
         return target
-    sag = state.tare.share * state.tare.sag
-    R = rotations.exp_many(target[:, 3:]) @ rotations.exp(-sag[3:])
+    back = -state.tare.share * state.tare.sag
+    vectors, arms = rotations.turned_many(target[:, 3:], back[3:], back[:3])
     rigid = np.empty_like(target)
-    rigid[:, :3] = target[:, :3] - R @ sag[:3]
-    rigid[:, 3:] = rotations.log_many(R)
+    np.add(target[:, :3], arms, out=rigid[:, :3])
+    rigid[:, 3:] = vectors
     return rigid
 
 

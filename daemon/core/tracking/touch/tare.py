@@ -107,9 +107,10 @@ def _sag(
 ) -> Array | None:
     """Return the static deflection (6,) [m, rad], None without a weight."""
     if payload.mass > 0.0:
-        weight = payload.mass * GRAVITY * np.array(down)
-        turning = np.cross(np.array(payload.centre), weight)
-        sag: Array = np.concatenate((weight, turning)) / np.array(stiffness)
+        x, y, z = (payload.mass * GRAVITY * each for each in down)
+        a, b, c = payload.centre
+        weight = (x, y, z, b * z - c * y, c * x - a * z, a * y - b * x)
+        sag: Array = np.array(weight) / np.array(stiffness)
         return sag
     x, y, z = mean[:3].tolist()
     along = x * down[0] + y * down[1] + z * down[2]
