@@ -222,7 +222,7 @@ def readme(load: Load, has: Has) -> list[tuple[str, str, str]]:
         summary = load("plant-floor")[scenario]["summary"]
         figures = (
             f"{outcomes(summary)}; {_spread(summary['impact_mm'])} mm at impact,"
-            f" {_spread(summary['force_n'])} N; {summary['false_confirmed']} false alarms"
+            f" {_spread(summary['force_n'])} N; false alarms: {summary['false_confirmed']}"
         )
         figure_rows.append((f"{label}, {summary['runs']} objects, 12 ms", figures, "plant-floor"))
     return figure_rows
