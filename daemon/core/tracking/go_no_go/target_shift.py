@@ -68,6 +68,6 @@ def remaining(shift: TargetShift, times: Array) -> Array:
     """Return the shift (m,) [m] at times from now [s]."""
     if not shift.begun:
         return np.zeros(len(times))
-    s = np.clip((shift.age + times) / duration(shift.begun), 0.0, 1.0)
+    s = np.minimum(np.maximum((shift.age + times) / duration(shift.begun), 0.0), 1.0)
     left: Array = shift.begun * (1.0 - s**3 * (10.0 + s * (6.0 * s - 15.0)))
     return left

@@ -10,6 +10,7 @@ All readings before it are then too short by an unknown way, which is fitted as 
 """
 
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 from msgspec import Struct
@@ -135,7 +136,8 @@ def _has_say(readings: Array) -> bool:
 def _late(ages: Array) -> Array | None:
     """Return which of the readings (m,) were late before the sensor was in time again, or None."""
     gaps = ages[:-1] - ages[1:]
-    early = np.flatnonzero(gaps < EARLY * np.median(gaps))
+    # numpy's median costs eight times as much.
+    early = np.flatnonzero(gaps < EARLY * median(gaps.tolist()))
     if not 0 < len(early) <= MOST_EARLY:
         return None
     return np.asarray(np.arange(len(ages)) <= early[-1], dtype=float)

@@ -8,6 +8,7 @@ no reading for as long as it becomes late: a step of that size is likelier there
 """
 
 import math
+from statistics import median
 
 import numpy as np
 from msgspec import Struct
@@ -95,7 +96,7 @@ def find(
     changes, _ = _ratios(power[count:], shown[count:], change)
     # An outlier is no silence.
     gaps = -np.diff(heard[0], prepend=heard[0, :1])[fits]
-    usual = float(np.median(gaps))
+    usual = median(gaps.tolist())
     missing = gaps[places] - usual
     late = AmplitudePrior(-speed * missing, (speed * usual) ** 2)
     lates, late_sizes = _ratios(power[:count], shown[:count], late)
