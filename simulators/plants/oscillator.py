@@ -24,12 +24,21 @@ def transition(omega: float, zeta: float, dt: float) -> Transition:
     Returns:
         phi11, phi12, phi21, phi22.
     """
-    damped = omega * cmath.sqrt(1.0 - zeta * zeta)
-    if abs(damped) * dt < 1e-9:
-        cosine, sine = 1.0, dt
+    return solved(omega, zeta, dt)
+
+
+def solved(omega: float, zeta: float, dt: float) -> Transition:
+    """Return ``transition`` of values that do not come again: it is not kept."""
+    if zeta < 1.0:
+        damped = omega * math.sqrt(1.0 - zeta * zeta)
+        cosine, sine = math.cos(damped * dt), math.sin(damped * dt) / damped
     else:
-        cosine = cmath.cos(damped * dt).real
-        sine = (cmath.sin(damped * dt) / damped).real
+        turned = omega * cmath.sqrt(1.0 - zeta * zeta)
+        damped = abs(turned)
+        cosine = cmath.cos(turned * dt).real
+        sine = (cmath.sin(turned * dt) / (turned or 1.0)).real
+    if damped * dt < 1e-9:
+        cosine, sine = 1.0, dt
     shrink = math.exp(-zeta * omega * dt)
     lean = zeta * omega * sine
     return (

@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from linemate.simulators.plants.oscillator import Transition, transition
+from linemate.simulators.plants.oscillator import Transition, solved, transition
 from linemate.simulators.plants.scenario import Axis
 
 _SLICES = 16
@@ -328,13 +328,13 @@ def _plan(axis: Axis, omega: float, step: float, substeps: int) -> tuple[tuple[_
     rest = axis.dead_time_s - whole * step
     if rest < _TINY:
         rest = 0.0
-    phi = transition(omega, axis.damping, step)
+    phi = solved(omega, axis.damping, step)
     plan: list[tuple[_Piece, ...]] = []
     for part in range(substeps):
         cycle, offset = divmod(part - whole, substeps)
         if rest and offset == 0:
             left = step - rest
-            before, behind = (transition(omega, axis.damping, t) for t in (rest, left))
+            before, behind = (solved(omega, axis.damping, t) for t in (rest, left))
             first = _Piece(1 - cycle, substeps * step - rest, rest, before)
             plan.append((first, _Piece(-cycle, 0.0, left, behind)))
         else:
