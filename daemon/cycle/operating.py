@@ -29,6 +29,9 @@ SETTLING = "the robot has not come to rest yet since its programme began"
 NEAR = frozenset({State.TRACK, State.HOLD, State.RETREAT})
 """States in which it matters what a stop would leave between tool and object."""
 
+SEEING = frozenset({State.IDLE, State.ARMED, State.TRACK})
+"""States in which a camera that contradicts the estimate counts."""
+
 CHANGES = 64
 """Changes that wait to be read; the oldest is dropped."""
 
@@ -241,9 +244,8 @@ class Operating:
         before, period, state = situation.before or last, self._cycle_s, self.machine.state
         # No pose fits a motion that poses lead. An exercise, led by its program alone, goes on: it
         # is there to find out what does not fit.
-        contradicted = (
-            state is State.TRACK and samples.camera_health.contradicts and situation.sensed
-        )
+        # Nor does a motion begin with it: it was started and held in the next cycle.
+        contradicted = state in SEEING and samples.camera_health.contradicts and situation.sensed
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
         lost = situation.last_approach and samples.distance_health.reason is not None
         contradicted = contradicted or (state is State.TRACK and lost)
