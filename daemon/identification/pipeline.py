@@ -22,7 +22,14 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
-from linemate.daemon.identification import conveyor_ramps, ring_down, scene_fit, sway, swing
+from linemate.daemon.identification import (
+    conveyor_ramps,
+    ring_down,
+    scene_fit,
+    sway,
+    sway_across,
+    swing,
+)
 from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, identify_arm_windup
 from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
@@ -127,11 +134,14 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     if swayed.settings:
         settings = {name: _digits(value) for name, value in swayed.settings.items()}
         overlay.setdefault("tracking", {})["sway"] = settings
-    across = sway.identify_across(fit, seen, bodies, traces, camera, delay)
+    identified = [result.mode for result in swings if result.mode is not None]
+    # A sway across the line that was identified before is replaced, not added to.
+    free = tuple(mode for mode in identified or cell.tracking.swing if not mode.gain)
+    known = replace(cell.tracking, swing=free)
+    across = sway_across.identify_across(seen, bodies, traces, camera, known)
     if across:
-        own = overlay.setdefault("tracking", {})
-        kept_swings = own.get("swing") or [_plain(mode) for mode in cell.tracking.swing]
-        own["swing"] = [*kept_swings, *(_plain(mode) for mode in across)]
+        swinging = [_plain(mode) for mode in (*free, *across)]
+        overlay.setdefault("tracking", {})["swing"] = swinging
     if any(result.friction.level for result in servos):
         rubbing = [_plain(result.friction) for result in servos]
         overlay.setdefault("control", {})["friction"] = rubbing
@@ -143,7 +153,7 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         *_mode_findings(modes),
         *_swing_findings(swings),
         *sway.findings(swayed),
-        *sway.across_findings(across),
+        *sway_across.across_findings(across),
         *conveyor_ramps.findings(conveyor_ramps.identify_ramps(traces, delay)),
         *_camera_findings(vision),
         *_noise_findings(noise, cell.tracking),

@@ -1,8 +1,8 @@
-"""Sway of the body along and across the line, from stops and starts that the camera sees.
+"""Sway of the body along the line, from stops and starts that the camera sees.
 
     s'' + 2 zeta w s' + w^2 s = -g a
 
-s: the body against the conveyor's unit [m], along an axis of c, without its swings; a: the unit's
+s: the body against the conveyor's unit [m], without its swings; a: the unit's
 acceleration, of ramps that are fitted to the distance sensor's readings (a body would seem to
 answer to their noise). With their way x
 
@@ -14,7 +14,6 @@ window, an error of the distance sensor's scale, and one of the delays between t
 Invariants:
 - Deviations count what is left at the sway's own frequency, where a camera's noise is no white one.
 - A sway without a gain beyond chance is none; its gain is then bounded.
-- A sway across the line is a swing with the longest lever, without a turn that a camera could see.
 """
 
 import math
@@ -28,7 +27,7 @@ from scipy.signal import lfilter
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.settings import SwaySettings, SwingMode
+from linemate.daemon.core.tracking.settings import SwaySettings
 from linemate.daemon.identification.conveyor_ramps import (
     STEP_S,
     UnitMotion,
@@ -39,8 +38,7 @@ from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, R
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views, swing
 from linemate.daemon.identification.trace import Trace
 
-ALONG, ACROSS = 1, (0, 2)  # axes of c
-LONGEST_LEVER = 10.0  # of a swing that only shifts the object [m/rad]
+ALONG = 1  # axis of c
 SEARCH_HZ = (0.4, 4.0)
 LOWEST_HZ = SwaySettings().range_hz[0]  # of the slowest sway of which a daemon takes account
 GRID = 0.03  # of the frequencies that are tried, as a share
@@ -116,29 +114,8 @@ def identify_sway(
         delay: from measuring to arrival of a distance [s].
         lowest_hz: frequency of the slowest sway of ``tracking.sway``.
     """
-    fitted = _fitted_sway(scene, seen, bodies, traces, camera, delay, ALONG)
+    fitted = _fitted_sway(scene, seen, bodies, traces, camera, delay)
     return _refused(fitted) if isinstance(fitted, str) else _judged(*fitted, lowest_hz)
-
-
-def identify_across(
-    scene: SceneFit | None,
-    seen: Sequence[Views],
-    bodies: Sequence[int],
-    traces: Sequence[Trace],
-    camera: Camera,
-    delay: float,
-) -> list[SwingMode]:
-    """Return the sways across the line that stops and starts excite, as swings of the object.
-
-    Args: see ``identify_sway``.
-    """
-    modes = []
-    for axis in ACROSS:
-        fitted = _fitted_sway(scene, seen, bodies, traces, camera, delay, axis)
-        if not isinstance(fitted, str):
-            mode = _mode_across(*fitted, axis)
-            modes += [] if mode is None else [mode]
-    return modes
 
 
 def _fitted_sway(
@@ -148,7 +125,6 @@ def _fitted_sway(
     traces: Sequence[Trace],
     camera: Camera,
     delay: float,
-    axis: int,
 ) -> tuple[list[_Window], float, float] | str:
     """Return images around ramps, frequency [rad/s] and damping; or why there are none."""
     if scene is None:
@@ -158,13 +134,13 @@ def _fitted_sway(
         window
         for index, (view, body) in enumerate(zip(seen, bodies, strict=True))
         if (moved := motions[body]) is not None
-        for window in _windows(scene, index, view, moved, camera, axis)
+        for window in _windows(scene, index, view, moved, camera)
     ]
     if not windows:
         return "no stop and no start while the camera sees the object"
     windows = _cleaned(windows)
     omega, zeta = _searched(windows)
-    windows = _timed(windows, omega, zeta) if axis == ALONG else windows
+    windows = _timed(windows, omega, zeta)
     windows = [
         window if kept.all() else _part(window, kept)
         for window, kept in _inliers(windows, omega, zeta)
@@ -184,28 +160,13 @@ def findings(result: SwayResult) -> list[ReportLine]:
     return lines
 
 
-def across_findings(modes: Sequence[SwingMode]) -> list[ReportLine]:
-    """Return the lines of the report on sways across the line."""
-    lines = []
-    for mode in modes:
-        name = "sway across, " + ("x" if mode.levers[0] else "z")
-        basis = f"{mode.levers[0] + mode.levers[2]:+.0f} m/rad"
-        frequency = Estimate(mode.frequency_hz, mode.spread * mode.frequency_hz, basis)
-        gain = Estimate(mode.gain, mode.gain_deviation, basis)
-        lines += [
-            ReportLine(f"{name}: frequency", "Hz", 1.0, frequency, True),
-            ReportLine(f"{name}: gain", "", 1.0, gain, True),
-        ]
-    return lines
-
-
 def _refused(reason: str) -> SwayResult:
     refusal = Refusal(reason)
     return SwayResult({}, refusal, refusal, refusal)
 
 
 def _windows(
-    scene: SceneFit, index: int, view: Views, moved: UnitMotion, camera: Camera, axis: int
+    scene: SceneFit, index: int, view: Views, moved: UnitMotion, camera: Camera
 ) -> list[_Window]:
     """Return the images around each ramp; ramps that follow each other share a window."""
     t = view.times + scene.stamp_error
@@ -213,12 +174,11 @@ def _windows(
     eye = camera[0] + scene.hand_eye[:3]
     turned = camera[1] @ rotations.exp(scene.hand_eye[3:])
     in_tcp = eye + view.positions @ turned.T
-    body = p[:, axis] + np.einsum("nj,nj->n", R[:, axis], in_tcp)
+    body = p[:, ALONG] + np.einsum("nj,nj->n", R[:, ALONG], in_tcp)
     for mode, amplitude in zip(scene.modes, scene.rests[index].amplitudes, strict=True):
-        body -= mode.levers[axis] * swing(mode, amplitude, t - view.middle)
-    if axis == ALONG:
-        body -= np.interp(t, moved.times, moved.positions)
-    in_camera = np.einsum("nj,jk->nk", R[:, axis], turned)
+        body -= mode.levers[ALONG] * swing(mode, amplitude, t - view.middle)
+    body -= np.interp(t, moved.times, moved.positions)
+    in_camera = np.einsum("nj,jk->nk", R[:, ALONG], turned)
     sigma = np.sqrt(np.sum((in_camera * view.deviations[:, :3]) ** 2, axis=1))
     spans: list[tuple[float, float]] = []
     for ramp in find_ramps(moved):
@@ -409,25 +369,6 @@ def _judged(windows: Sequence[_Window], omega: float, zeta: float, lowest_hz: fl
         Estimate(gain, deviation, basis),
         damped,
     )
-
-
-def _mode_across(
-    windows: Sequence[_Window], omega: float, zeta: float, axis: int
-) -> SwingMode | None:
-    """Return a sway across the line as a swing, None if it is not known well enough."""
-    fit = _fitted(windows, omega, zeta)
-    noise = _noise(windows, fit.left, omega)
-    none = _fitted(windows, omega, zeta, forced=False)
-    share, damping, deviation = _deviations(windows, fit, omega, zeta, noise)
-    frequency, gain = omega / (2.0 * math.pi), float(fit.terms[0])
-    is_known = share < FREQUENCY_SHARE and damping < DAMPING_DEVIATION
-    is_inside = SEARCH_HZ[0] < frequency < SEARCH_HZ[1] and 3.0 * deviation < abs(gain) <= 2.0
-    better = float(none.left @ none.left - fit.left @ fit.left) / noise
-    if not (is_known and is_inside and better > CHANCE):
-        return None
-    x, _, z = (math.copysign(LONGEST_LEVER, gain) if i == axis else 0.0 for i in range(3))
-    spread, deviation = max(share, CARS[0]), max(deviation, CARS[1] * abs(gain))
-    return SwingMode(1, frequency, zeta, (x, 0.0, z), spread, abs(gain), deviation)
 
 
 def _none(windows: Sequence[_Window], lowest_hz: float) -> SwayResult:

@@ -220,7 +220,8 @@ class Transverse:
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
         for swing, factor in self._with_factors(state):
-            if swing.g >= 0:
+            # A speed of 0 is one that is not known yet, or was not: no stop or start is in it.
+            if swing.g >= 0 and state.speed:
                 # A change of speed within a step is a blow: it moves the quadrature by the speed
                 # that it leaves over the frequency. One that only becomes known is in the prior.
                 left = (speed - state.speed) / (swing.mode.lever * swing.omega * factor)

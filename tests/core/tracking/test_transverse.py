@@ -703,6 +703,13 @@ def test_another_gain_is_within_the_deviation_and_found_from_images() -> None:
     assert SHIFT.gain + 0.03 < float(late.x[-1]) < SHIFT.gain + 0.12
 
 
+def test_a_speed_that_becomes_known_is_no_stop_and_no_start() -> None:
+    own = Transverse(FusionSettings(), (SHIFT,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    later = own.predict(state, T0, speed=SPEED)
+    assert list(own.swing_now(later, 0.0)) == [0.0]
+
+
 def test_a_mode_with_a_long_lever_walks_as_far_at_the_object_as_one_of_a_metre() -> None:
     own = Transverse(FusionSettings(), (SHIFT,))
     state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)

@@ -389,7 +389,7 @@ def _fit(
         left: variance of what the regression leaves, as a factor of the readings' own.
     """
     logs = np.log(frequencies.omegas)
-    log_omega, spread = _interpolated(logs, scores, i)
+    log_omega, spread = interpolated(logs, scores, i)
     near = (max(i - 1, 0), i, min(i + 1, len(logs) - 1))
     inverse = np.linalg.inv(A[near[0] : near[2] + 1])
     below, here, above = (
@@ -421,7 +421,7 @@ def _to_values(bank: SwayBank, i: int) -> Array:
     )
 
 
-def _interpolated(logs: Array, scores: Array, i: int) -> tuple[float, float]:
+def interpolated(logs: Array, scores: Array, i: int) -> tuple[float, float]:
     """Return the log frequency at the peak next to point i, and its deviation."""
     step = float(logs[1] - logs[0])
     if not 0 < i < len(logs) - 1:
