@@ -30,6 +30,7 @@ ITERATIONS = 15
 SETTLED = 1e-7  # least gain of a further step, as a share of the cost
 LEAST_IMAGES = 40
 ALONG = 0.0003  # deviation of the conveyor's position by the distance sensor [m]
+RANGE_BIAS = (0.0005, 0.0005, 0.002)  # of a camera, unknown: 1 to 5 mm a metre in depth [m/m]
 BLOCK_S = 2.0  # errors of images this far apart are independent: a camera's are for 0.1 to 1 s [s]
 
 
@@ -242,8 +243,10 @@ def fit(
             kept[i] = np.abs(weighed).max(axis=1) < GATE * max(scale, 0.2)
     A, _ = _normal(scene, seen, camera, kept, shared)
     chi2 = _chi2(scene, seen, camera, kept)
-    growth = _growth(scene, seen, camera, kept)
-    covariance = np.linalg.pinv(A, hermitian=True) * max(chi2 * growth, 1e-12)
+    inverse = np.linalg.pinv(A, hermitian=True)
+    covariance = inverse * max(chi2 * _growth(scene, seen, camera, kept), 1e-12)
+    if shared:
+        covariance += _considered(scene, seen, camera, kept, inverse)
     first = _size(scene) - _shared_size(scene)
     deviations = np.sqrt(np.maximum(covariance.diagonal()[:first], 0.0))
     rest_deviations = deviations.reshape(len(scene.rests), -1)[:, :6]
@@ -385,6 +388,25 @@ def _growth(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[M
         count += sums.size
     free = max(count - _size(scene), 1)
     return max(together / max(alone, 1e-12) * count / free, 1.0)
+
+
+def _considered(
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask], inverse: Array
+) -> Array:
+    """Return what biases of the camera that grow with the range add to the covariance.
+
+    They are not fitted, but considered (Bierman, 1977): each moves the result by its gradient.
+    """
+    gradients = np.zeros((_size(scene), len(RANGE_BIAS)))
+    for i, view in enumerate(seen):
+        jacobian, _ = linearised(scene, i, view, camera, kept[i])
+        ranges = np.linalg.norm(view.positions, axis=1)
+        for axis, bias in enumerate(RANGE_BIAS):
+            moved = np.zeros((len(ranges), 6))
+            moved[:, axis] = bias * ranges
+            gradients[:, axis] += jacobian.T @ (moved / spread(view))[kept[i]].ravel()
+    moves: Array = inverse @ gradients
+    return moves @ moves.T
 
 
 def _moved(scene: SceneFit, step: Array) -> SceneFit:

@@ -123,6 +123,16 @@ def test_deviations_hold_for_a_camera_whose_errors_last_half_a_second() -> None:
     assert 0.3 < float(np.sqrt(np.mean(np.square(offs)))) < 2.0
 
 
+def test_a_bias_of_2_mm_a_metre_moves_nothing_by_more_than_a_deviation() -> None:
+    plain = seen(Sight())
+    images = replace(plain.images, positions=1.002 * plain.images.positions)
+    (before, _), (after, _) = looked(plain), looked(replace(plain, images=images))
+    assert before is not None
+    assert after is not None
+    deviations = np.sqrt(after.covariance.diagonal()[-7:-1])
+    assert np.all(np.abs(after.hand_eye - before.hand_eye) < deviations)
+
+
 def test_a_good_camera_is_left_alone_before_a_moving_object_too() -> None:
     result = camera(seen(Sight(speed=0.106)))
     for outcome in (*result.position, *result.rotation, result.stamp_error):
