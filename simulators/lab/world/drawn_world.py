@@ -5,12 +5,14 @@ do not have.
 
 Invariants:
     A seed draws the same world wherever it is run.
+    Modes of the floor's body that were identified are not stated: a drawn body has others.
     A drawn world keeps to what the floor's commissioning states: the camera sees from
         ``blind_below`` on, the mount is as stiff as stated within 20 %.
 """
 
 import json
 import math
+from dataclasses import asdict
 from functools import cache
 from random import Random
 from typing import Any
@@ -43,7 +45,17 @@ def overrides(seed: int) -> tuple[str, ...]:
         **_sensors(random),
         "duration_s": DURATION_S,
     }
-    return tuple(f"scenario.{key}={json.dumps(value)}" for key, value in values.items())
+    truth = (f"scenario.{key}={json.dumps(value)}" for key, value in values.items())
+    return (*truth, *_unidentified())
+
+
+def _unidentified() -> tuple[str, ...]:
+    """Return the settings of a body whose modes are not identified, as ``KEY=VALUE``."""
+    tracking = setup.make(BASE).tracking
+    swings = [asdict(mode) for mode in tracking.swing if mode.gain == 0.0]
+    sway = {"frequency_hz": 0.0, "gain": 0.0, "gain_deviation": 1.0}
+    settings = {"swing": swings, **{f"sway.{key}": value for key, value in sway.items()}}
+    return tuple(f"tracking.{key}={json.dumps(value)}" for key, value in settings.items())
 
 
 def _share(random: Random) -> float:

@@ -27,3 +27,9 @@ def test_the_row_has_a_world_for_each_seed_and_is_asked_for_by_its_name(tmp_path
     first, second = measure.prepare(names, (0, 1), ("scenario.duration_s=9",), None, tmp_path)
     assert first.setup.scenario.conveyor != second.setup.scenario.conveyor
     assert first.setup.scenario.duration_s == second.setup.scenario.duration_s == 9.0
+
+
+def test_modes_identified_on_the_floor_are_not_stated_of_a_drawn_body() -> None:
+    tracking = setup.make(drawn_world.BASE, drawn_world.overrides(3)).tracking
+    assert (tracking.sway.frequency_hz, tracking.sway.gain) == (0.0, 0.0)
+    assert [mode.gain for mode in tracking.swing] == [0.0]
