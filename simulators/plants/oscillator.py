@@ -5,7 +5,6 @@ Invariants:
     A piecewise linear input has a shifted ramp as its particular solution.
 """
 
-import cmath
 import math
 from functools import lru_cache
 
@@ -29,16 +28,13 @@ def transition(omega: float, zeta: float, dt: float) -> Transition:
 
 def solved(omega: float, zeta: float, dt: float) -> Transition:
     """Return ``transition`` of values that do not come again: it is not kept."""
-    if zeta < 1.0:
-        damped = omega * math.sqrt(1.0 - zeta * zeta)
-        cosine, sine = math.cos(damped * dt), math.sin(damped * dt) / damped
-    else:
-        turned = omega * cmath.sqrt(1.0 - zeta * zeta)
-        damped = abs(turned)
-        cosine = cmath.cos(turned * dt).real
-        sine = (cmath.sin(turned * dt) / (turned or 1.0)).real
+    damped = omega * math.sqrt(abs(1.0 - zeta * zeta))
     if damped * dt < 1e-9:
         cosine, sine = 1.0, dt
+    elif zeta < 1.0:
+        cosine, sine = math.cos(damped * dt), math.sin(damped * dt) / damped
+    else:
+        cosine, sine = math.cosh(damped * dt), math.sinh(damped * dt) / damped
     shrink = math.exp(-zeta * omega * dt)
     lean = zeta * omega * sine
     return (

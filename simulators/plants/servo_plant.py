@@ -303,14 +303,14 @@ def _table(lags: tuple[_Lag, ...], reach: int, cycle_s: float) -> _CycleMatrix:
 def _lag(axis: Axis, step: float, substeps: int) -> _Lag:
     omega = math.tau * axis.frequency_hz
     return _Lag(
-        omega,
-        axis.damping,
-        omega * omega,
-        2.0 * axis.damping * omega,
-        2.0 * axis.damping / omega,
-        axis.acceleration_limit,
-        axis.dead_time_s,
-        _plan(axis, omega, step, substeps),
+        omega=omega,
+        zeta=axis.damping,
+        stiffness=omega * omega,
+        friction=2.0 * axis.damping * omega,
+        shift=2.0 * axis.damping / omega,
+        limit=axis.acceleration_limit,
+        dead_time=axis.dead_time_s,
+        plan=_plan(axis, omega, step, substeps),
     )
 
 

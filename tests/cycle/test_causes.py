@@ -236,34 +236,15 @@ def test_a_state_that_does_not_change_says_nothing(app: App) -> None:
 
 
 def test_a_force_that_answers_no_motion_is_the_cause_that_is_named() -> None:
-    evidence = causes.Evidence(
-        watch.Facts(NOW_NS, True),
-        Watch(Link.HEALTHY, NOW_NS, good=90, state=State.CONTACT),
-        WatchSettings(),
-        {},
-        unready=None,
-        following_error=None,
-        overload_n=None,
-        ordered_by={},
-        fault=None,
-        unanswered_n=120.0,
-    )
-    words, todo = causes._overload(Signals(Link.HEALTHY), evidence)
+    words, todo = causes._overload(Signals(Link.HEALTHY), evidence(unanswered_n=120.0))
     assert words == "a force of 120 N answered no motion of the tool in contact"
     assert todo == "Check the sign and the axes of the force-torque sensor."
 
 
 def test_a_robot_that_got_no_setpoints_is_the_cause_that_is_named() -> None:
-    evidence = causes.Evidence(
-        watch.Facts(NOW_NS, True, unled_s=0.08),
-        Watch(Link.UNPROVEN, NOW_NS, good=1, state=State.TRACK),
-        WatchSettings(),
-        {},
-        unready=None,
-        following_error=None,
-        overload_n=None,
-        ordered_by={},
-        fault=None,
+    known = evidence(
+        facts=watch.Facts(NOW_NS, True, unled_s=0.08),
+        counts=Watch(Link.UNPROVEN, NOW_NS, good=1, state=State.TRACK),
     )
-    words, _ = causes._link(Signals(Link.UNPROVEN), evidence)
+    words, _ = causes._link(Signals(Link.UNPROVEN), known)
     assert words == "the robot got no setpoint for 0.080 s, limit 0.055 s"

@@ -17,6 +17,7 @@ from functools import cache
 from random import Random
 from typing import Any
 
+from linemate.daemon.core.tracking.settings import SwaySettings
 from linemate.simulators.harness import setup
 from linemate.simulators.plants.scenario import Scenario
 
@@ -51,11 +52,9 @@ def overrides(seed: int) -> tuple[str, ...]:
 
 def _unidentified() -> tuple[str, ...]:
     """Return the settings of a body whose modes are not identified, as ``KEY=VALUE``."""
-    tracking = setup.make(BASE).tracking
-    swings = [asdict(mode) for mode in tracking.swing if mode.gain == 0.0]
-    sway = {"frequency_hz": 0.0, "gain": 0.0, "gain_deviation": 1.0}
-    settings = {"swing": swings, **{f"sway.{key}": value for key, value in sway.items()}}
-    return tuple(f"tracking.{key}={json.dumps(value)}" for key, value in settings.items())
+    swings = [asdict(mode) for mode in setup.make(BASE).tracking.swing if mode.gain == 0.0]
+    sway = (f"sway.{key}={json.dumps(value)}" for key, value in asdict(SwaySettings()).items())
+    return tuple(f"tracking.{each}" for each in (f"swing={json.dumps(swings)}", *sway))
 
 
 def _share(random: Random) -> float:
