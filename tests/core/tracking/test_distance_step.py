@@ -103,6 +103,15 @@ def test_a_step_that_is_longer_ago_is_not_looked_for() -> None:
     assert step is None or abs(step.size) < 0.5 * SPEED * LATE_S
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_readings_that_a_stalled_host_read_at_once_are_no_silence(seed: int) -> None:
+    ages = np.repeat(steady_ages()[::3], 3)
+    assert find(readings(np.zeros_like(ages), ages, seed)) is None
+    step = find(readings(np.where(ages < 0.06, -SPEED * LATE_S, 0.0), ages, seed))
+    assert step is not None
+    assert step.size == pytest.approx(-SPEED * LATE_S, abs=4.0 * step.deviation)
+
+
 def test_levelled_readings_have_no_step_left() -> None:
     kept = late(0.06, 3)
     step = find(kept)

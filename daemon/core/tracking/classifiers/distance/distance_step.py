@@ -99,11 +99,14 @@ def find(
     usual = median(gaps.tolist())
     missing = gaps[places] - usual
     late = AmplitudePrior(-speed * missing, (speed * usual) ** 2)
-    lates, late_sizes = _ratios(power[:count], shown[:count], late)
-    lates = np.where(missing > (MISSING - 1.0) * usual, lates + LATE, NONE)
-    sizes = np.where(lates > steps, late_sizes, sizes)
+    # Readings that a stalled host reads at once have one stamp: no gap says that one is missing.
+    if late.variance > 0.0:
+        lates, late_sizes = _ratios(power[:count], shown[:count], late)
+        lates = np.where(missing > (MISSING - 1.0) * usual, lates + LATE, NONE)
+        sizes = np.where(lates > steps, late_sizes, sizes)
+        steps = np.maximum(lates, steps)
     is_step = sizes * math.copysign(1.0, change.mean) > LEAST_SIZE
-    steps = np.where(is_step, np.maximum(lates, steps), NONE)
+    steps = np.where(is_step, steps, NONE)
     odds = _total(steps) - _total(changes)
     best = int(steps.argmax())
     if odds < 0.0 or float(steps[best]) < CERTAIN:
