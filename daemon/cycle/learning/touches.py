@@ -39,6 +39,7 @@ LEAST_GAIN = 0.1  # share of a touch that is taken: a mount may move
 NOISE_SHARE = 0.5  # variance of a touch (0.35 mm) over that of a calibrated mount (0.5 mm)
 REACH_M, REACH_RAD = 0.003, 0.01  # largest corrections, those of the settings
 WORTH = 1e-5  # a smaller change is not made: each is recorded [m, rad]
+PLACE_S = 0.2  # after which a tool that rang has settled, and a heavy object has hardly moved [s]
 SEATED_S = 1.0  # after which the estimate has taken the turn of a clamped tool [s]
 
 Pair = tuple[float, float]
@@ -86,11 +87,14 @@ class TouchLearner:
                 self.touch = self._felt
 
     def _measure(self, before: TrackerState, after: TrackerState) -> None:
-        """Look at one step: the first force gives the place, a seated tool the turn."""
+        """Look at one step: of a settled tool for the place, of a seated one for the turn."""
         if after.compliance.press is not None and before.compliance.press is None:
-            self._across, self._felt, self._is_over = felt_across(before, after), None, False
-            self._expected = before
-        if self._expected is None or after.touching < SEATED_S:
+            self._expected, self._across, self._felt, self._is_over = before, None, None, False
+        if self._expected is None or after.touching < PLACE_S:
+            return
+        if self._across is None:
+            self._across = felt_across(self._expected, after)
+        if after.touching < SEATED_S:
             return
         turn = felt_turn(self._expected, after)
         if self._across is not None and turn is not None:
@@ -130,12 +134,14 @@ def felt_across(before: TrackerState, after: TrackerState) -> Pair | None:
 
     Args:
         before: state of the last step without a force that measures the object.
-        after: of the first one with it: its estimate has taken a part of the way already.
+        after: of a settled tool. The estimate and the offset of the compliance have taken a part
+            of the way already; what is left is in the mean deviation.
     """
     earlier, later = before.transverse, after.transverse
     if after.history is None or earlier is None or later is None:
         return None
-    x, y, z = after.compliance.offset
+    offset, rest = after.compliance.offset, after.compliance.smooth
+    x, y, z = (taken + left for taken, left in zip(offset, rest, strict=True))
     x += float(later.x[0] - earlier.x[0])
     z += float(later.x[1] - earlier.x[1])
     if isinstance(before.conveyor, BankState) and isinstance(after.conveyor, BankState):

@@ -46,7 +46,7 @@ def touch_of(entries: tuple[LogEntry, ...]) -> FeltError | None:
 def test_a_wheel_shows_where_the_camera_is() -> None:
     touch = touch_of(wheel())
     assert touch is not None
-    assert touch.across == pytest.approx(MOUNT, abs=0.3e-3)
+    assert touch.across == pytest.approx(MOUNT, abs=0.1e-3)
     assert touch.turn == pytest.approx((0.0, 0.0), abs=0.3e-3)
 
 
