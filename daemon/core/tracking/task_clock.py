@@ -249,10 +249,12 @@ def _may_be_clamped(
     steps = math.ceil(leading / tracker.cycle_s)
     times = clock_ramp.times_ahead(state.ramp, state.time / tracker.cycle_s, steps)
     _, relative = tracker.table.between(times)
+    # A force that is doubted before the object may be one of a clamp that has closed.
+    distance = 0.0 if state.contact_state.doubtful else float(relative[-1, 2])
     return release.may_be_clamped(
         contact=state.contact,
         released=Gate.WHEEL_RELEASED in passed,
-        distance=float(relative[-1, 2]) if state.started else -math.inf,
+        distance=distance if state.started else -math.inf,
         opening=state.releasing,
         timeout=tracker.task.tool.release_timeout,
     )

@@ -53,6 +53,7 @@ from linemate.daemon.core.tracking.touch import (
     release,
     tare,
 )
+from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
@@ -224,7 +225,8 @@ def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> A
 def _waiting_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool that is to retreat."""
     relative = release.without_press(relative)
-    if state.clamped and is_before_contact(tracker, state):
+    is_near = state.clamped and not state.contact_state.doubtful
+    if is_near and is_before_contact(tracker, state):
         relative = release.at_stand_off(relative)
     return relative
 
@@ -561,8 +563,8 @@ def update_contact(
             tracker.vibration,
             before.distance,
             near,
-            speed,
             is_new=report.force is not None,
+            off=_doubted_from(tracker, before, after),
         )
     else:
         # With a force sensor the watch ends TRACK long before: there is none in this cell.
@@ -592,6 +594,14 @@ def update_contact(
         search=search,
         force_sign=sign,
     )
+
+
+def _doubted_from(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:
+    """Return the distance before the object from which on a force may be doubted [m]."""
+    if after.clamped and not before.contact_state.doubtful:
+        return math.inf  # it may have touched before
+    bolts = tracker.settings.payload.bolts
+    return max(contact.OFF_M, bolts + TIPS_RESERVE if bolts > 0.0 else 0.0)
 
 
 def _holds_nothing(tracker: Tracker, state: TrackerState, report: Report) -> bool:

@@ -2,12 +2,14 @@
 
 import math
 import random
+from collections.abc import Callable
 
 import pytest
 
 from linemate.daemon.core.tracking.touch.contact import (
     NEAR,
     NO_CONTACT,
+    OFF_M,
     PULL,
     TOUCHES,
     ContactState,
@@ -310,3 +312,54 @@ def test_a_step_whose_samples_all_show_the_contact_needs_no_second_step(
     assert state.touches == 0
     state = record_force(state, mode, -25.0, 0.0, held=False, samples=samples)
     assert count_touches(state, mode, 0.0, NEAR).touches == touches
+
+
+def drifted(
+    rate: float, distance_at: Callable[[float], float], *, off: float = OFF_M
+) -> ContactState:
+    """Return the state of a tool whose sensor drifts for 0.4 s, after a second of rest."""
+    mode = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, 0.012)
+    state: ContactState = NO_CONTACT
+    for k in range(117):
+        t = 0.012 * k - 1.0
+        state = record_force(state, mode, rate * max(t, 0.0), 0.0, held=False)
+        state = count_touches(state, mode, distance_at(t), 0.014, off=off)
+        if state.touches >= TOUCHES:
+            break
+    return state
+
+
+@pytest.mark.parametrize("rate", [250.0, -150.0])
+def test_a_force_that_drifts_while_the_tool_stands_before_the_object_is_doubted(
+    rate: float,
+) -> None:
+    """Fault seed 30234: a clamp closed on nothing 12 mm before the hub."""
+    felt = drifted(rate, lambda _: -0.012)
+    assert felt.touches == 0
+    assert felt.doubtful
+
+
+def test_a_force_of_a_tool_that_may_be_clamped_is_not_doubted() -> None:
+    felt = drifted(-150.0, lambda _: -0.012, off=math.inf)
+    assert felt.touches == TOUCHES
+    assert not felt.doubtful
+
+
+@pytest.mark.parametrize("speed", [0.002, 0.004, 0.009, 0.02])
+def test_a_tool_that_advances_feels_a_touch_at_any_speed_and_none_is_doubted(speed: float) -> None:
+    felt = drifted(-STIFFNESS * speed, lambda t: min(t, 0.4) * speed - 0.008)
+    assert felt.touches == TOUCHES
+    assert not felt.doubtful
+
+
+@pytest.mark.parametrize("speed", [0.004, 0.009, 0.02])
+def test_a_force_that_grows_less_than_the_mount_is_pressed_is_no_touch(speed: float) -> None:
+    felt = drifted(-0.2 * STIFFNESS * speed, lambda t: t * speed - 0.008)
+    assert felt.touches == 0
+    assert not felt.doubtful
+
+
+def test_a_pull_is_doubted_before_the_object_also_while_the_tool_advances() -> None:
+    felt = drifted(900.0, lambda t: min(t, 0.4) * 0.009 - 0.012)
+    assert felt.touches == 0
+    assert felt.doubtful

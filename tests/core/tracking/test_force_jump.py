@@ -41,7 +41,8 @@ def first_touch(
         each = tuple(sample - mean for sample in samples)
         state = record_force(state, vibration, mean, 0.0, held=False, samples=each)
         near = NEAR if k * cycle_s > 1.0 else -1.0
-        state = count_touches(state, vibration, 0.0, near, speed if filtered else 0.0)
+        distance = (k * cycle_s - 1.5) * speed if filtered else 0.0
+        state = count_touches(state, vibration, distance, near)
         if state.touches >= TOUCHES:
             return k
     return None

@@ -66,6 +66,7 @@ class Reason(StrEnum):
     UNSEEN = "unseen"
     TURN = "turn"
     BOLTS = "bolts"
+    FORCE = "force"
 
 
 _ALWAYS = frozenset(
@@ -80,6 +81,7 @@ _ALWAYS = frozenset(
         Reason.UNSEEN,
         Reason.TURN,
         Reason.BOLTS,
+        Reason.FORCE,
     }
 )
 _BACK_AT_ONCE = frozenset({Reason.UNSEEN, Reason.TURN, Reason.BOLTS})
@@ -108,6 +110,7 @@ TODO: dict[Reason, str] = {
     Reason.UNSEEN: "Wait, or identify the sway: record stops that the camera sees.",
     Reason.TURN: "Wait, or check the angle of the wheel.",
     Reason.BOLTS: "Check the angle of the wheel and of the bolts, and the camera's mounting.",
+    Reason.FORCE: "Check the force-torque sensor, and that nothing touches the tool.",
 }
 
 
@@ -134,6 +137,7 @@ class GoEvidence(Struct, frozen=True):
             it sway by more than is known; infinity without one [s].
         turns: the bolts did not enter: the tool backs off, and turns to another angle.
         jams: nor did they at any other angle.
+        force: that a tool has which stands where it cannot touch; None for none [N].
     """
 
     sight_s: float
@@ -152,6 +156,7 @@ class GoEvidence(Struct, frozen=True):
     looked_s: float = math.inf
     turns: bool = False
     jams: bool = False
+    force: float | None = None
 
 
 class GoState(Struct, frozen=True):
@@ -249,6 +254,7 @@ def find_reasons(
         (Reason.UNSEEN, evidence.looked_s < LOOK_S),
         (Reason.TURN, evidence.turns),
         (Reason.BOLTS, evidence.jams),
+        (Reason.FORCE, evidence.force is not None),
     )
     return tuple([reason for reason, holds in lacking if holds])
 
@@ -285,5 +291,6 @@ def describe(reason: Reason, evidence: GoEvidence, guard: GuardedApproach) -> st
         ),
         Reason.TURN: "the bolts did not enter, the tool turns to another angle",
         Reason.BOLTS: "the bolts enter at none of the angles",
+        Reason.FORCE: f"a force of {evidence.force or 0.0:.0f} N without a touch",
     }
     return f"{whats[reason]}. {TODO[reason]}"

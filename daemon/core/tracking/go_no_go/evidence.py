@@ -107,6 +107,8 @@ def decide(
 def _may_back(state: TrackerState) -> bool:
     """Return whether no clamp can have closed: the tool is too far off, or has felt no touch."""
     felt = state.contact_state
+    if felt.doubtful:
+        return False
     return state.distance < -NEAREST_BACK or (bool(felt.forces) and not felt.touches)
 
 
@@ -144,6 +146,7 @@ def gather(
         looked_s=state.looked_s if is_look_due(tracker, state, view) else math.inf,
         turns=state.bolts.is_jammed and not state.bolts.is_over,
         jams=state.bolts.is_over,
+        force=state.contact_state.forces[-1] if state.contact_state.doubtful else None,
     )
 
 

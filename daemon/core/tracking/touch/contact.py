@@ -33,6 +33,9 @@ MEASURED = 0.5  # share of a contact's force that the sensor itself must show
 LEFT_NOISE = 0.5  # share of a contact's force: less that is left is noise
 GROWTH_S = 0.024  # over which the force of a touch must have grown [s]
 GROWTH_SHARE = 0.5  # of what the mount alone gives for the tool's advance in that time
+OFF_M = 0.005  # before the object: no touch comes from there to a tool that stands [m]
+STOOD_S = 0.12  # after so long without an advance the robot stands as well [s]
+STOOD_M = 1e-4  # a lesser advance is none [m]
 LEFT_HALVES = 3.0  # half periods over which a remaining vibration is observed: slower modes too
 
 
@@ -130,6 +133,8 @@ class ContactState(Struct, frozen=True):
         samples: of the newest of ``forces``, off it [N].
         left: least and largest force without the vibration, in each of the last steps [N]. Both
             are 0 for a tool that vibrates as configured.
+        distances: programmed, to the object, in each of the last steps [m].
+        doubtful: the force is one of a contact, but the object cannot give it.
     """
 
     forces: tuple[float, ...] = ()
@@ -139,6 +144,8 @@ class ContactState(Struct, frozen=True):
     samples: tuple[float, ...] = ()
     left: tuple[tuple[float, float], ...] = ()
     inertial: tuple[float, ...] = ()
+    distances: tuple[float, ...] = ()
+    doubtful: bool = False
 
 
 NO_CONTACT = ContactState()
@@ -265,24 +272,43 @@ def is_lasting_contact(state: ContactState, vibration: ToolVibration) -> bool:
     return min(newest) > free + vibration.force or max(newest) < free - vibration.force
 
 
-def has_grown(state: ContactState, vibration: ToolVibration, speed: float) -> bool:
+def has_grown(state: ContactState, vibration: ToolVibration, distance: float) -> bool:
     """Return whether a contact's force has grown as the tool advanced.
 
-    An object pushes back the more the farther the tool goes; a sensor that drifts does not. Not
-    decided where the growth would be lost in the noise: at a slow approach, or while the forces
-    reach back beyond a hold.
+    An object pushes back the more the farther the tool goes; a sensor that drifts does not. The
+    shortest advance decides whose force exceeds the noise: a slow tool needs longer for it. Not
+    decided without one, or while the forces reach back beyond a hold.
 
     Args:
-        speed: programmed, of the tool towards the object [m/s].
+        distance: programmed, to the object [m].
     """
-    steps = max(round(GROWTH_S / vibration.cycle_s), 1) if vibration.cycle_s else 1
-    expected = GROWTH_SHARE * vibration.stiffness * speed * steps * vibration.cycle_s
-    lacks_history = len(state.left) < steps or not is_observable(state, vibration)
-    if lacks_history or expected < LEFT_NOISE * vibration.force:
+    if not state.left or not vibration.cycle_s or not is_observable(state, vibration):
         return True
     low, high = without_vibration(state, vibration)
-    before_low, before_high = state.left[-steps]
-    return before_high - high >= expected or low - before_low >= expected
+    for steps in range(max(round(GROWTH_S / vibration.cycle_s), 1), len(state.left) + 1):
+        advance = distance - state.distances[-steps]
+        expected = GROWTH_SHARE * vibration.stiffness * advance
+        if LEFT_NOISE * vibration.force <= expected < math.inf:
+            before_low, before_high = state.left[-steps]
+            return before_high - high >= expected or low - before_low >= expected
+    return True
+
+
+def is_doubtful(state: ContactState, vibration: ToolVibration, distance: float, off: float) -> bool:
+    """Return whether the force before the object is none that the object can give.
+
+    It gives none to a tool that stands, and it does not pull at one that it has not touched.
+
+    Args:
+        distance: programmed, to the object [m].
+        off: distance before the object from which on that is sure [m].
+    """
+    steps = round(STOOD_S / vibration.cycle_s) if vibration.cycle_s else 0
+    if distance >= -off or not 0 < steps <= len(state.distances):
+        return False
+    low, _ = without_vibration(state, vibration)
+    advance = distance - min(state.distances[-steps:])
+    return low > 0.0 or advance < STOOD_M
 
 
 def count_touches(
@@ -290,9 +316,9 @@ def count_touches(
     vibration: ToolVibration,
     distance: float,
     near: float,
-    speed: float = 0.0,
     *,
     is_new: bool = True,
+    off: float = OFF_M,
 ) -> ContactState:
     """Return the state with its touches counted.
 
@@ -301,8 +327,8 @@ def count_touches(
     Args:
         distance: programmed, to the object [m].
         near: distance before the object from which a force may be a contact [m].
-        speed: programmed, of the tool towards the object [m/s].
         is_new: a force was measured since the last step.
+        off: distance before the object from which on a force may be doubted [m].
     """
     forces, free = state.forces, state.free
     # Beyond the estimated object too: the tool may search for it there.
@@ -312,11 +338,18 @@ def count_touches(
         # Smoothed: over a configured period a mode of another one has a mean.
         free = mean if free is None else free + (mean - free) / vibration.observed
     felt = touches_felt(state, vibration) if is_near else 0
-    if felt and not has_grown(state, vibration, speed):
+    doubtful = bool(felt) and is_doubtful(state, vibration, distance, off)
+    if doubtful or (felt and not has_grown(state, vibration, distance)):
         felt = 0
     newly = felt if is_new else 0
-    touches = state.touches + newly if felt else 0
-    return replace(state, touches=touches, free=free, left=_observed(state, vibration))
+    return replace(
+        state,
+        touches=state.touches + newly if felt else 0,
+        free=free,
+        left=_observed(state, vibration),
+        distances=(*state.distances, distance)[-vibration.observed :],
+        doubtful=doubtful,
+    )
 
 
 def _observed(state: ContactState, vibration: ToolVibration) -> tuple[tuple[float, float], ...]:

@@ -57,6 +57,7 @@ BAD = {
     Reason.UNSEEN: {"looked_s": LOOK_S - 0.01},
     Reason.TURN: {"turns": True},
     Reason.BOLTS: {"jams": True},
+    Reason.FORCE: {"force": 30.0},
 }
 AT_ONCE = {Reason.UNSEEN, Reason.TURN, Reason.BOLTS}
 

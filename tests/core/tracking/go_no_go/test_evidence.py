@@ -179,6 +179,7 @@ def test_a_prediction_is_certain_if_neither_covariance_nor_a_change_speaks_again
         (-0.004, ContactState((0.0, 1.0)), True),
         (-0.004, ContactState((0.0, 30.0), touches=1), False),
         (-0.004, ContactState(), False),
+        (-0.012, ContactState((0.0, 30.0), doubtful=True), False),
     ],
 )
 def test_a_tool_near_the_object_backs_off_if_it_feels_that_nothing_touches(
