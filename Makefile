@@ -149,7 +149,7 @@ install-files:
 		install -m 644 docs/completion/$$program.bash \
 			$(DESTDIR)$(SHARE)/bash-completion/completions/$$program; \
 		install -m 644 docs/completion/_$$program $(DESTDIR)$(SHARE)/zsh/site-functions/; done
-	install -m 644 docs/linemated.schema.json docs/sbom.cdx.json $(DESTDIR)$(SHARE)/linemate/
+	install -m 644 daemon/data/linemated.schema.json docs/sbom.cdx.json $(DESTDIR)$(SHARE)/linemate/
 	test -e $(DESTDIR)$(ETC)/linemated.yaml || sed \
 		's|/run/linemate|$(OWN)&|; s|/var/li[b]/linemate|$(OWN)&|; s|/var/log/linemate|$(OWN)&|' \
 		systemd/linemated.yaml > $(DESTDIR)$(ETC)/linemated.yaml

@@ -22,7 +22,6 @@ from typing import Any, BinaryIO, Final
 import msgpack
 
 from linemate.daemon.recording.format import Item, ItemKind
-from linemate.daemon.recording.step_file import StepFile
 
 PAUSE_S: Final = 0.05  # before each read [s], so that one wake writes a dozen steps
 MIB: Final = 1_048_576
@@ -80,6 +79,10 @@ class RecordingWriter:
     """
 
     def __init__(self, report: Callable[[Report], None]) -> None:
+        # Here, not in the daemon, which needs the names of files only: 2 % of a start.
+        from linemate.daemon.recording.step_file import StepFile
+
+        self._new_file = StepFile
         self._report = report
         self._last_report: Report = {}
         self._start: RecordingStart | None = None
@@ -142,7 +145,7 @@ class RecordingWriter:
         self._path, self._stream = str(path), stream
         remove_oldest(path.parent, start.rotation.total_bytes)
         offset_ns = time.time_ns() - time.monotonic_ns()
-        self._file = StepFile(stream, start.texts, start.chunk_bytes, offset_ns)
+        self._file = self._new_file(stream, start.texts, start.chunk_bytes, offset_ns)
         self._began_s = time.monotonic()
         self._files += 1
         self._is_full = False

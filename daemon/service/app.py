@@ -15,7 +15,7 @@ import signal
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import UnreadableError
@@ -56,13 +56,17 @@ from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.parameter_service import Answer, ParameterService
 from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.status import DaemonSnapshot, LinkView, Rates, status, telemetry
-from linemate.drivers.can_bus import CanLink
 from linemate.drivers.datagrams import Address
-from linemate.drivers.serial_port import SerialLink
 from linemate.drivers.udp import port_holder
 from linemate.drivers.udp.camera_udp import CameraLink
 from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.exchange import TelegramKind as Telegram
+
+if TYPE_CHECKING:
+    from linemate.drivers.can_bus import CanLink
+    from linemate.drivers.serial_port import SerialLink
+
+    Link = RobotLink | CanLink | CameraLink | SerialLink
 
 ORDERS = frozenset(watch.OPERATIONS)
 LONGEST_CHUNK_S = 60.0  # between begin_ns and a target pose handed in [s]
@@ -80,7 +84,6 @@ LOG_EVERY = 1000  # a fault of the cycle is logged once in so many
 
 log = logging.getLogger(__name__)
 
-Link = RobotLink | CanLink | CameraLink | SerialLink
 Handler = Callable[[Mapping[str, Any], str], Answer | asyncio.Future[Answer]]
 
 

@@ -1,8 +1,11 @@
 """Parts of a daemon, built from its configuration: links, command port, recorder, production."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.section_checks import group_ids
@@ -17,8 +20,6 @@ from linemate.daemon.service.event_log import EventLog
 from linemate.daemon.service.parameter_service import ParameterService
 from linemate.daemon.service.production.production_cell import ProductionCell
 from linemate.daemon.service.production.record_files import RecordFiles
-from linemate.drivers.can_bus import CanLink
-from linemate.drivers.serial_port import SerialLink
 from linemate.drivers.udp.camera_udp import CameraLink
 from linemate.drivers.udp.robot_udp import OnTelegram, RobotLink
 from linemate.drivers.udp.stream_udp import StreamLink
@@ -33,6 +34,10 @@ from linemate.protocol.rsi.rsi_link import RsiLink
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import BAUD_RATES, make_decoder, make_host
+
+if TYPE_CHECKING:
+    from linemate.drivers.can_bus import CanLink
+    from linemate.drivers.serial_port import SerialLink
 
 
 def build_link(station: LoadedConfig, parameters: Parameters) -> ControllerLink:
@@ -99,6 +104,8 @@ def build_sensors(
     """Yield the link of each configured sensor; its samples go to the cycle."""
     config = station.config
     if config.distance is not None and station.dbc is not None:
+        from linemate.drivers.can_bus import CanLink  # python-can is 5 % of a start
+
         distance = config.distance
         decoder = DistanceDecoder(
             station.dbc,
@@ -115,6 +122,8 @@ def build_sensors(
         peer = None if camera.peer is None else parse_peer(camera.peer)
         yield CameraLink(poses, cycle.samples.camera.push, camera.bind, camera.port, peer=peer)
     if config.force_torque is not None:
+        from linemate.drivers.serial_port import SerialLink  # serialx is 6 % of a start
+
         wrench = config.force_torque
         yield SerialLink(
             wrench.url,

@@ -23,6 +23,7 @@ from docs.make import (
     states,
 )
 from linemate.daemon.config import config
+from linemate.daemon.config.files import DAEMON_DATA
 
 DOCS = Path(__file__).resolve().parents[1]
 
@@ -38,7 +39,7 @@ def pages() -> Iterator[tuple[Path, str]]:
     packages = sbom.closure()
     yield DOCS / "sbom.cdx.json", sbom.bill(packages)
     yield DOCS.parent / "requirements.txt", sbom.requirements(packages)
-    yield DOCS / "linemated.schema.json", json.dumps(config.schema(), indent=1) + "\n"
+    yield DAEMON_DATA / "linemated.schema.json", json.dumps(config.schema(), indent=1) + "\n"
     for name, generated in (
         ("configuration.md", reference.configuration_page()),
         ("parameters.md", reference.parameters_page()),

@@ -6,20 +6,22 @@ Invariants:
     A frame that is too short, out of the DBC's range or not finite is refused with its bytes.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import or_
 from pathlib import Path
-from typing import cast
-
-import cantools
-from cantools.database.can import Database, Message, Signal
+from typing import TYPE_CHECKING, cast
 
 from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors import distance_bits
 from linemate.protocol.sensors.distance_bits import Bits
 from linemate.protocol.stamped_samples import DistanceSample
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database, Message, Signal
 
 # TF03, TF02 and CIA406_TPDO1 (node 3).
 SHIPPED_DBC = Path(__file__).parents[1] / "data" / "distance.dbc"
@@ -104,6 +106,8 @@ def _load(dbc: str | Path) -> Database:
 @lru_cache(maxsize=8)
 def _parsed(text: str) -> Database:
     """Parse a DBC once; both ends and each run of a campaign read the same one."""
+    import cantools  # A tenth of a start, for a station with a distance sensor alone.
+
     return cast("Database", cantools.database.load_string(text, database_format="dbc"))
 
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from cantools.database.can import Message, Signal
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
 
 MAX_BITS = 64
 

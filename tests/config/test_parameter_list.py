@@ -1,9 +1,12 @@
 """Parameters as operators see them: everything comes from the settings themselves."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
+from linemate.daemon.config import config
+from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.parameter_list import (
     RULES,
     ChangeRule,
@@ -26,6 +29,11 @@ CONFIG = replace(Config("t"), control=shipped_control(), watch=WatchSettings(hea
 @pytest.fixture(scope="module")
 def listed() -> tuple[Parameter, ...]:
     return tuple(list_parameters(CONFIG))
+
+
+def test_the_shipped_schema_is_that_of_the_settings() -> None:
+    text = (DAEMON_DATA / "linemated.schema.json").read_text(encoding="utf-8")
+    assert json.loads(text) == config.schema(), "run `make docs-write`"
 
 
 def test_a_parameter_has_value_default_range_unit_and_meaning(
