@@ -119,3 +119,32 @@ def test_a_gain_that_is_not_identified_is_less_certain_where_the_tool_touches() 
     bank = sway_bank.empty(SETTINGS)
     seen, felt = (structs.replace(bank, source=each) for each in (Source.CAMERA, Source.TACTILE))
     assert sway_bank.gain_deviation(felt) > 2.0 * sway_bank.gain_deviation(seen)
+
+
+@pytest.mark.parametrize("ringing_hz", [1.2, 4.7])
+def test_a_body_that_the_tool_pushes_keeps_its_frequency_unless_it_rings_at_another(
+    ringing_hz: float,
+) -> None:
+    """The images end 2 s before the touch, and kicks of 30 N for 0.1 s move the body after it."""
+    settings = replace(SETTINGS, frequency_hz=1.2, gain=0.9, gain_deviation=0.08)
+    bank, rng = sway_bank.empty(settings), np.random.default_rng(3)
+    unit = PositionMeasurement(Source.DISTANCE, 0.0, 0.0, UNIT_SIGMA**2, 4.0)
+    sway, others = 0.001 + 0.0j, []
+    for k in range(round(5.0 / T0)):
+        t = k * T0
+        hz = ringing_hz if t > 3.5 else 1.2
+        sway *= cmath.exp(complex(-0.02, 1.0) * math.tau * hz * T0)
+        if t > 3.5 and k % 8 == 0:
+            sway += 1j * rng.normal(0.0, 0.003 / (math.tau * hz))
+        bank = sway_bank.predict(settings, bank, T0, 0.0, stands=True)
+        bank = sway_bank.read_unit(bank, unit, 0.0)
+        source, sigma = (Source.CAMERA, 0.0005) if t < 1.5 else (Source.TACTILE, 5e-5)
+        if 1.5 < t < 3.5:
+            continue
+        seen = PositionMeasurement(source, sway.real + rng.normal(0.0, sigma), 0.0, sigma**2, 5.0)
+        bank = sway_bank.read(settings, bank, seen, 0.0, 10.0)
+        if t > 3.7 and sway_bank.is_due(bank):
+            bank, other = sway_bank.evaluate(settings, bank, math.tau * 1.2, 10.0)
+            others += [other] if other is not None else []
+    found = [fit.omega / math.tau for fit in others]
+    assert not found if ringing_hz == 1.2 else found[-1] == pytest.approx(ringing_hz, rel=0.1)

@@ -13,7 +13,8 @@ number:
 
 The frequency is not known. So a grid of frequencies is held, and for each a linear regression of
 what the body does against the conveyor: an offset, a drift, the forced response, and a free sway.
-The evidence of each frequency is its marginal likelihood. Old readings are forgotten.
+The evidence of each frequency is its marginal likelihood. Old readings are forgotten. In contact
+the tool's force drives the body, so its free sway is a random walk there.
 """
 
 import math
@@ -44,6 +45,7 @@ READING_S = 0.02  # least time between two readings that are used [s]
 EVALUATION_S = 0.15  # between two evaluations of the grid [s]
 FLOOR = 0.00015  # of a reading's sigma: what a unit moves that its class does not [m]
 SWITCHED = 0.003  # one sigma of what two sensors of the body differ by [m]
+DRIVEN_OMEGA = 2.0 * math.pi * 1.2  # frequency that ``SwaySettings.driven`` is meant for [rad/s]
 PUSHES_S = 3.0  # time constant of the pushes that are remembered [s]
 SINGLE, REPEATED = 0.5, 2.0  # pushes that one push leaves after 2 s, and that make a sway
 FIRST_S = 1.0  # of readings before the first evaluation [s]
@@ -82,6 +84,9 @@ class SwayBank(Struct, frozen=True, eq=False):
         free: (m,) e^(i w t) of a free sway.
         information: (m, 5, 5) of the regression.
         weighted: (m, 5) its right side.
+        still: (1, 2, 3) information of offset and drift without a sway, and the right side.
+        lost: (2, m + 1) what was forgotten of the explained energy, and of the log determinant;
+            last that without a sway.
         energy: weighted sum of squares.
         count: number of readings that it remembers.
         unit: of the conveyor as the distance sensor alone sees it.
@@ -95,6 +100,8 @@ class SwayBank(Struct, frozen=True, eq=False):
     free: ComplexArray
     information: Array
     weighted: Array
+    still: Array
+    lost: Array
     energy: float = 0.0
     count: float = 0.0
     unit: UnitEstimate | None = None
@@ -115,10 +122,14 @@ class Grid(Struct, frozen=True, eq=False):
 
 @lru_cache(maxsize=8)
 def grid(settings: SwaySettings) -> Grid:
-    """Return the grid of some settings: evenly spaced logarithms."""
+    """Return the grid of some settings: evenly spaced logarithms, an identified frequency on it."""
     low, high = settings.range_hz
     count = 1 + math.ceil(math.log(high / low) / settings.step)
     omegas = 2.0 * math.pi * np.geomspace(low, high, count)
+    if settings.frequency_hz:
+        # Half a step off it, its phase is wrong by 1 rad after 3 s: another one seems likelier.
+        known = 2.0 * math.pi * settings.frequency_hz
+        omegas *= known / omegas[int(np.abs(np.log(omegas / known)).argmin())]
     poles = np.asarray(omegas * complex(-settings.damping, 1.0), dtype=np.complex128)
     return Grid(omegas, poles)
 
@@ -139,6 +150,8 @@ def empty(settings: SwaySettings) -> SwayBank:
         free=np.ones(count, dtype=complex),
         information=np.zeros((count, TERMS, TERMS), order="F"),
         weighted=np.zeros((count, TERMS), order="F"),
+        still=np.zeros((1, GAIN, GAIN + 1)),
+        lost=np.zeros((2, count + 1)),
     )
 
 
@@ -175,6 +188,8 @@ def predict(
         free=bank.free * free,
         information=bank.information,
         weighted=bank.weighted,
+        still=bank.still,
+        lost=bank.lost,
         energy=bank.energy,
         count=bank.count,
         unit=None if bank.unit is None else bank.unit.moved(dt, acceleration, stands=stands),
@@ -235,19 +250,28 @@ def read(
         return bank
     if measurement.source is not bank.source:
         bank = replace(_with_new_offset(bank), source=measurement.source)
+    if measurement.source is Source.TACTILE:
+        bank = _driven(settings, bank)
     row = _row(settings, bank, delay, acceleration, acted)
     kept, aged = math.exp(-bank.since_reading / settings.memory), bank.since_reading
     information, weighted = kept * bank.information, kept * bank.weighted
     information[:, 1] -= aged * information[:, 0]
     information[:, :, 1] -= aged * information[:, :, 0]
     weighted[:, 1] -= aged * weighted[:, 0]
+    still = kept * bank.still
+    still[:, 1] -= aged * still[:, 0]
+    still[:, :, 1] -= aged * still[:, :, 0]
     weight = 1.0 / (measurement.variance + unit.variance + FLOOR**2)
     information += (weight * row)[:, :, None] * row[:, None]
     weighted += (weight * seen) * row
+    known = np.array((1.0, -delay))
+    still += (weight * known)[:, None] * np.array((1.0, -delay, seen))
     return replace(
         bank,
         information=information,
         weighted=weighted,
+        still=still,
+        lost=kept * bank.lost,
         energy=kept * bank.energy + weight * seen * seen,
         count=kept * bank.count + 1.0,
         since_reading=0.0,
@@ -272,15 +296,50 @@ def _row(
 
 def _with_new_offset(bank: SwayBank) -> SwayBank:
     """Return the bank for another sensor of the body: its offset is a little different."""
-    cross = bank.information[:, :, 0]
-    gain = 1.0 / (cross[:, 0] + SWITCHED**-2.0)
-    lost = gain * bank.weighted[:, 0]
+    way = np.zeros_like(bank.weighted)
+    way[:, 0] = 1.0
+    information, weighted, lost = _forgotten(bank.information, bank.weighted, way, SWITCHED**2)
+    still, right, of_still = _forgotten(
+        bank.still[:, :, :GAIN], bank.still[:, :, GAIN], way[:1, :GAIN], SWITCHED**2
+    )
     return replace(
         bank,
-        information=bank.information - (gain[:, None] * cross)[:, :, None] * cross[:, None],
-        weighted=bank.weighted - lost[:, None] * cross,
-        energy=bank.energy - float(lost[0] * bank.weighted[0, 0]),
+        information=information,
+        weighted=weighted,
+        still=np.concatenate((still, right[:, :, None]), axis=2),
+        lost=bank.lost + np.concatenate((lost, of_still), axis=1),
     )
+
+
+def _driven(settings: SwaySettings, bank: SwayBank) -> SwayBank:
+    """Return the bank whose free sway the tool's force has driven since the last reading."""
+    # A force sets the body in motion by as much at each frequency: s'/w is less at a high one.
+    walk = settings.driven * DRIVEN_OMEGA / grid(settings).omegas
+    variance = walk**2 * bank.since_reading
+    way = np.zeros_like(bank.weighted)
+    way[:, 3], way[:, 4] = -bank.free.imag, bank.free.real
+    information, weighted, lost = _forgotten(bank.information, bank.weighted, way, variance)
+    total = bank.lost.copy()
+    total[:, :-1] += lost
+    return replace(bank, information=information, weighted=weighted, lost=total)
+
+
+def _forgotten(
+    information: Array, weighted: Array, way: Array, variance: Array | float
+) -> tuple[Array, Array, Array]:
+    """Return information and right side after a step of the terms, and what they lose (2, m).
+
+    Args:
+        way: (m, n) of the terms for a step of 1.
+        variance: of the step, (m,) or of all.
+    """
+    cross = np.einsum("ijk,ik->ij", information, way)
+    power = (cross * way).sum(axis=1)
+    gain = variance / (1.0 + variance * power)
+    along = (weighted * way).sum(axis=1)
+    lost = np.stack((gain * along * along, np.log1p(variance * power)))
+    left = information - (gain[:, None] * cross)[:, :, None] * cross[:, None]
+    return left, weighted - (gain * along)[:, None] * cross, lost
 
 
 def count_push(bank: SwayBank) -> SwayBank:
@@ -315,11 +374,13 @@ def evaluate(
     frequencies = grid(settings)
     prior, mean = _prior(settings, gain_deviation(bank))
     A, weighted = bank.information + np.diag(prior), bank.weighted + prior * mean
-    steady, explained, logs = _eliminated(A, weighted)
+    still = bank.still[:, :, :GAIN] + np.diag(prior[:GAIN])
+    explained, logs = _eliminated(A, weighted) + bank.lost[:, :-1]
+    of_still, logs_of_still = _eliminated(still, bank.still[:, :, GAIN])[:, 0] + bank.lost[:, -1]
     constant = float(np.log(prior[GAIN:]).sum() - prior[GAIN:].dot(mean[GAIN:] ** 2))
-    scores = 0.5 * (explained - logs + constant)
+    scores = 0.5 * (explained - of_still - logs + logs_of_still + constant)
     best = int(scores.argmax())
-    left = (bank.energy - float(steady[best] + explained[best])) / max(bank.count, 1.0)
+    left = (bank.energy - float(explained[best])) / max(bank.count, 1.0)
     left = max(left, 1.0)
     scores = scores / left + _likeliness(settings)
     best, bank = int(scores.argmax()), replace(bank, since_evaluation=0.0)
@@ -332,20 +393,20 @@ def evaluate(
     return bank, _fit(bank, frequencies, A, weighted, scores, best, left)
 
 
-def _eliminated(A: Array, weighted: Array) -> tuple[Array, Array, Array]:
-    """Return what offset and drift explain, what the sway explains (m,), and its log determinant.
+def _eliminated(A: Array, weighted: Array) -> Array:
+    """Return the energy that regressions explain, and their log determinants, (2, m).
 
     Gauss' elimination of all regressions at once: LAPACK is called once for each of them.
     """
+    count, terms = weighted.shape
     rows = np.concatenate((A, weighted[:, :, None]), axis=2)
-    shares, pivots = np.empty((TERMS, len(A))), np.empty((TERMS, len(A)))
-    for k in range(TERMS):
+    shares, pivots = np.empty((terms, count)), np.empty((terms, count))
+    for k in range(terms):
         pivot = pivots[k] = rows[:, k, k]
-        shares[k] = rows[:, k, TERMS] ** 2 / pivot
+        shares[k] = rows[:, k, terms] ** 2 / pivot
         share = rows[:, k + 1 :, k] / pivot[:, None]
         rows[:, k + 1 :, k + 1 :] -= share[:, :, None] * rows[:, k, None, k + 1 :]
-    logs: Array = np.log(pivots[GAIN:]).sum(axis=0)
-    return shares[:GAIN].sum(axis=0), shares[GAIN:].sum(axis=0), logs
+    return np.stack((shares.sum(axis=0), np.log(pivots).sum(axis=0)))
 
 
 @lru_cache(maxsize=8)
