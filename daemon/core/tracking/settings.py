@@ -235,7 +235,7 @@ class RippleSettings:
         frequency_hz: frequency at full conveyor speed [Hz].
         spread: one sigma of the frequency, as a share; the error is estimated while the conveyor
             runs. 0: the frequency is exact.
-        deviation: one sigma of its amplitude at full speed [m]; 0 for a conveyor without.
+        deviation: one sigma of its amplitude [m]; 0 for a conveyor without.
         walk: random walk of the amplitude [m/sqrt(s)].
         pace: random walk of the frequency, as a share of it [1/sqrt(s)].
     """

@@ -156,12 +156,19 @@ def enter_standing(model: BankModel, state: BankState) -> BankState:
 def reset_ripple(model: BankModel, state: BankState) -> BankState:
     """Return the state of a conveyor that stands: the phase of its next ripple is unknown.
 
-    The frequency belongs to the drive and stays known.
+    The frequency belongs to the drive and stays known. The unit is where it was: what counts as
+    ripple is none of its position.
     """
     x, P = state.x.copy(), state.P.copy()
+    x[Y] += x[RIPPLE]
+    P[Y, :] += P[RIPPLE, :]
+    P[:, Y] += P[:, RIPPLE]
     x[RIPPLE] = x[RIPPLE_QUADRATURE] = 0.0
     P[RIPPLE:FREQUENCY, :] = P[:, RIPPLE:FREQUENCY] = 0.0
-    P[RIPPLE, RIPPLE] = P[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = model.ripple.deviation**2
+    variance = model.ripple.deviation**2
+    P[RIPPLE, RIPPLE] = P[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = variance
+    P[Y, Y] += variance
+    P[Y, RIPPLE] = P[RIPPLE, Y] = -variance
     return replace(state, x=x, P=P)
 
 
@@ -187,7 +194,8 @@ def _cancel_stop(model: BankModel, state: BankState) -> BankState:
     if acceleration - 2.0 * sigma <= slowest:
         return state
     events = (*state.events, ("stop", "cancelled"))
-    if acceleration - 2.0 * sigma > 0.0 and float(led.x[V]) < STARTED_SHARE * state.cruise:
+    fastest = float(led.x[V]) + 2.0 * math.sqrt(float(led.P[V, V]))
+    if fastest < STARTED_SHARE * state.cruise:
         started = clear_banks(state)
         return replace(started, motion=Motion.STARTING, class_age=0.0, events=events)
     state = enter_class(state, Motion.RUNNING, float(state.x[V]), REST_DEVIATION)

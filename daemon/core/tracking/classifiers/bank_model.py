@@ -1,9 +1,10 @@
 """Models of the bank classifier: state, transition, process noise and observation rows.
 
 The conveyor's speed has two kinds of ripple: a random one, which is a speed that decays, and a
-periodic one, a rotating pair of way and quadrature whose frequency is estimated. Both fade with the
-speed. While the tool is in contact the body may be pushed: an impulse disturbance makes it swing
-like a damped sine. Camera and force-torque sensor see that, the distance sensor does not.
+periodic one of drive or chain, which turns with the way: a rotating pair of way and quadrature
+whose frequency at full speed is estimated. While the tool is in contact the body may be pushed: an
+impulse disturbance makes it swing like a damped sine. Camera and force-torque sensor see that, the
+distance sensor does not.
 """
 
 import cmath
@@ -83,7 +84,7 @@ class BankState(Struct, frozen=True, eq=False):
     Attributes:
         x: (15,) position y [m], speed [m/s], random ripple [m/s], offset x10 of the distance sensor
             [m], acceleration [m/s^2], swing after an impulse and its quadrature [m], periodic
-            ripple at full speed and its quadrature [m], the error of the ripple's frequency as a
+            ripple and its quadrature [m], the error of the ripple's frequency as a
             share, the way that the distance sensor reads too much as a share, sway s and s'/w [m],
             the error of its frequency as a share, and its gain. The errors are folded into
             ``ripple_factor`` and ``sway_omega`` after each correction.
@@ -280,15 +281,19 @@ class BankModel:
         return min(max(speed / self.conveyor.nominal_speed, 0.0), 1.0)
 
     def ripple_omega(self, state: BankState) -> float:
-        """Return the estimated frequency of the periodic ripple [rad/s]."""
+        """Return the estimated frequency of the periodic ripple at full speed [rad/s]."""
         return 2.0 * math.pi * self.ripple.frequency_hz * state.ripple_factor
+
+    def ripple_rate(self, state: BankState) -> float:
+        """Return its frequency now [rad/s]: a sprocket turns with the conveyor's way."""
+        return self.ripple_omega(state) * self.speed_share(float(state.x[V]))
 
     def transition(self, state: BankState, dt: float) -> Array:
         """Return A (15, 15) of (5), linearised in the errors of the frequencies."""
         time = self.random_ripple(state)[1]
         F = _fixed_transition(dt, time, state.impulse_omega, self.impulse.damping).copy()
-        angle = self.ripple_omega(state) * dt
-        way = 2.0 * math.pi * self.ripple.frequency_hz * dt
+        angle = self.ripple_rate(state) * dt
+        way = angle / state.ripple_factor
         c, s = math.cos(angle), math.sin(angle)
         ripple, quadrature = state.x[RIPPLE:FREQUENCY].tolist()
         F[OFFSET, SLIP] = float(state.x[V]) * dt
@@ -342,7 +347,7 @@ class BankModel:
 
     def _ripple_stiffness(self, state: BankState) -> float:
         """Return how much the unit accelerates against its ripple, for each metre of it [1/s^2]."""
-        return self.speed_share(float(state.x[V])) * self.ripple_omega(state) ** 2
+        return self.ripple_rate(state) ** 2
 
     def unit_acceleration(self, state: BankState) -> float:
         """Return the acceleration of the conveyor's unit, by class and periodic ripple [m/s^2].
@@ -400,8 +405,8 @@ class BankModel:
         tau = measurement.delay
         back = min(tau, state.class_age)
         acted = tau * back - 0.5 * back * back
-        share, angle = self.speed_share(float(state.x[V])), self.ripple_omega(state) * tau
-        ripple, quadrature = share * math.cos(angle), -share * math.sin(angle)
+        angle = self.ripple_rate(state) * tau
+        ripple, quadrature = math.cos(angle), -math.sin(angle)
         if measurement.source is Source.DISTANCE:
             return np.array([1.0, -tau, -tau, 1.0, acted, 0.0, 0.0, ripple, quadrature, *NO_SWAY])
         w = state.impulse_omega

@@ -49,14 +49,13 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     What is linear in the estimate is predicted once, for the weighted mean.
     """
     tau = model.random_ripple(state)[1]
-    phase = model.ripple_omega(state) * times
-    turn = np.cos(phase), np.sin(phase)
+    omega_ripple = model.ripple_omega(state)
     y = v = r = 0.0
     nonlinear: Array | float = 0.0
     for weight, estimate, motion, omega in _weighted_estimates(model, state):
         x = estimate.tolist()
         y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RANDOM]
-        part = _nonlinear_part(model, x, motion, omega, state.cruise, times, turn)
+        part = _nonlinear_part(model, x, motion, omega, state.cruise, times, omega_ripple)
         nonlinear = nonlinear + weight * part
         if state.sway_omega:
             nonlinear = nonlinear + weight * sway_ahead(model, state, x, motion, times)
@@ -185,23 +184,25 @@ def _nonlinear_part(
     omega: float,
     cruise: float,
     times: Array,
-    turn: tuple[Array, Array],
+    ripple_omega: float,
 ) -> Array | float:
     """Return what ramp, ripple and swing of one hypothesis (m,) add to its steady motion.
 
     Args:
         omega: of its swing [rad/s].
         cruise: speed at which a start ends [m/s].
-        turn: cosine and sine (m,) of the ripple's phase from now.
+        ripple_omega: of the periodic ripple at full speed [rad/s].
     """
     v, a, swing, swing_quadrature = x[V], x[ACCELERATION], x[IMPULSE], x[IMPULSE_QUADRATURE]
     ripple, quadrature = x[RIPPLE], x[RIPPLE_QUADRATURE]
     is_ramp = motion in RAMPS
     part = added_way(v, a, cruise, times) if is_ramp else 0.0
     if abs(ripple) + abs(quadrature) > LEAST_RIPPLE:
-        share = _ramp_shares(model, v, a, times) if is_ramp else model.speed_share(v)
-        c, s = turn
-        part = part + share * (ripple * c + quadrature * s)
+        nominal = model.conveyor.nominal_speed
+        way = v * times + part if is_ramp else model.speed_share(v) * nominal * times
+        # One complex exponential is cosine and sine at once.
+        turning = np.exp((-1j * ripple_omega / nominal) * way)
+        part = part + (complex(ripple, quadrature) * turning).real
     if abs(swing) + abs(swing_quadrature) > LEAST_SWING:
         pole = complex(-model.impulse.damping * omega, omega)
         part = part + (complex(swing, -swing_quadrature) * np.exp(pole * times)).real
@@ -224,22 +225,14 @@ def sway_ahead(
     return ahead
 
 
-def _ramp_shares(model: BankModel, v: float, a: float, times: Array) -> Array:
-    """Return the shares (m,) of the nominal speed on a ramp."""
-    nominal = model.conveyor.nominal_speed
-    shares: Array = v / nominal + (a / nominal) * times
-    return np.minimum(np.maximum(shares, 0.0), 1.0)
-
-
 def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
     """Return the estimate of the conveyor now."""
     x = ramp_estimate(model, state).tolist()
     v, random = x[V], x[RANDOM]
     variance = state.P.diagonal().tolist()
-    share = model.speed_share(v)
     return ConveyorEstimate(
-        position=x[Y] + x[IMPULSE] + x[SWAY] + share * x[RIPPLE],
-        speed=v + random + share * x[RIPPLE_QUADRATURE] * model.ripple_omega(state),
+        position=x[Y] + x[IMPULSE] + x[SWAY] + x[RIPPLE],
+        speed=v + random + x[RIPPLE_QUADRATURE] * model.ripple_rate(state),
         offset=x[OFFSET],
         deviation=math.sqrt(max(variance[Y] + variance[IMPULSE] + variance[SWAY], 0.0)),
         speed_deviation=math.sqrt(max(variance[V] + variance[RANDOM], 0.0)),

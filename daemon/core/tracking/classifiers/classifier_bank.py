@@ -155,15 +155,15 @@ class BankClassifier(BankModel):
         if state.motion is not Motion.STARTING and state.start_check is None:
             return state
         speed = float(state.x[V])
-        check = start_check.update(
-            state.start_check, before.motion, state.motion, speed, measurements, dt
-        )
+        # A stop that was taken back was none: the start before it goes on.
+        was = Motion.STARTING if ("stop", "cancelled") in state.events else before.motion
+        check = start_check.update(state.start_check, was, state.motion, speed, measurements, dt)
         sigma = self.distance_deviation
-        if check is not None and state.start_check is None:
+        if check is not None and state.start_check is None and was is not Motion.STARTING:
             check = replace(check, acceleration=float(state.x[ACCELERATION]))
-            if before.motion is Motion.STOPPING:
+            if was is Motion.STOPPING:
                 check = replace(check, braking=self._ramp(before), braked=before.class_age)
-            elif before.motion is Motion.STANDING:
+            elif was is Motion.STANDING:
                 check = replace(check, stood=before.class_age)
         rejection = start_check.reject(check, self.conveyor, state.cruise, sigma)
         if rejection is None:

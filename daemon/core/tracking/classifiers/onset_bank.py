@@ -33,6 +33,7 @@ MOST = 125  # hypotheses of a bank; a cycle of 12 ms has so many in 1.5 s withou
 # Largest distance of two onsets over their age in a full bank, times ``MOST``: 6 % of the age. That
 # makes the way of a change uncertain by 6 % at most, where its acceleration is by 15 %.
 COARSENESS = 7.5
+NONE = -30.0  # log likelihood ratio of a change against its own class
 
 
 class OnsetBank(Struct, frozen=True, eq=False):
@@ -185,6 +186,8 @@ def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Ar
     ratio: Array = weighted * mean - np.log(precision)
     ratio -= prior.mean**2 / prior.variance + math.log(prior.variance)
     ratio *= 0.5
+    # A conveyor that speeds up does not stop, however badly the null filter fits it.
+    ratio[mean * prior.mean < 0.0] = NONE
     return ratio, mean
 
 
