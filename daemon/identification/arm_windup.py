@@ -7,10 +7,12 @@ the depths the scene takes a windup for swings and for an error of the hand-eye 
 
 Invariants:
 - The windup at the beginning of a recording is unknown and fitted with it.
+- Errors that are correlated over time, and range biases of the camera, are in the deviations.
 - Weak priors keep the fit regular. An axis whose depth they determine is refused.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,7 +35,6 @@ from linemate.daemon.identification.trace import (
 TRAVELS = (0.5e-3, 1e-3, 1.5e-3, 2.2e-3, 3.3e-3, 5e-3, 7.5e-3, 11e-3, 16e-3)
 ROUNDS = 2
 PRIOR = 0.5e-3  # of a depth and of the windup at the beginning [rad]
-SIGNIFICANT = 4.0  # least depth, in deviations
 LEAST_DEPTH = 0.03e-3  # [rad]
 LARGEST_DEVIATION = 0.1e-3  # of an accepted depth [rad]
 STEP = 1e-4  # of the numeric derivatives [rad]
@@ -63,6 +64,22 @@ class _Recording:
     trace: Trace
     views: list[Views]
     slopes: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Images about a scene, weighed.
+
+    Attributes:
+        jacobian, residuals: of all images, with priors at the end.
+        biases: (rows, 3) what each range bias of the camera adds to the images.
+        times: (m,) of the images of each view [s].
+    """
+
+    jacobian: Array
+    residuals: Array
+    biases: Array
+    times: list[Array]
 
 
 def bent_trace(trace: Trace, axes: Sequence[AxisWindup], kinematics: Kinematics,
@@ -120,7 +137,9 @@ def _judged(axes: Sequence[AxisWindup], depths: Array, deviations: Array, images
             outcomes.append(Estimate(depth, deviation, basis))
         else:
             outcomes.append(Refusal(f"its depth is known only to +-{1e3 * deviation:.2g} mrad"))
-        is_there = depth > max(SIGNIFICANT * deviation, LEAST_DEPTH)
+        # More likely than no windup at all: their Bayes factor is above 1.
+        significant = math.sqrt(2.0 * math.log1p(PRIOR / deviation)) * deviation
+        is_there = depth > max(significant, LEAST_DEPTH)
         kept.append(each if is_known and is_there else AxisWindup())
     windups = tuple(kept) if any(each.depth > 0.0 for each in kept) else ()
     return ArmWindup(windups, tuple(outcomes))
@@ -147,11 +166,12 @@ def _best_fit(
         recordings: with the poses of the motors, to which the depths belong.
     """
     kept = [_kept(scene, i, view, camera) for i, view in enumerate(bent)]
-    base, wanted = _scene_rows(scene, recordings, camera, kept)
+    rows = _scene_rows(scene, recordings, camera, kept)
+    slopes = _axis_rows(scene, recordings, camera, kept)
     best: tuple[float, float, Array, Array] | None = None
     for travel in TRAVELS:
-        columns = _windup_rows(scene, recordings, camera, kept, travel)
-        cost, depths, deviations = _solved(base, columns, wanted, len(recordings[0].slopes))
+        columns = _windup_rows(scene, recordings, slopes, kept, travel)
+        cost, depths, deviations = _solved(rows, columns, len(recordings[0].slopes))
         if best is None or cost < best[0]:
             best = cost, travel, depths, deviations
     assert best is not None  # noqa: S101 - there are travels
@@ -168,8 +188,8 @@ def _kept(scene: SceneFit, index: int, view: Views, camera: Camera) -> Mask:
 
 def _scene_rows(
     scene: SceneFit, recordings: Sequence[_Recording], camera: Camera, kept: Sequence[Mask]
-) -> tuple[Array, Array]:
-    """Return the jacobian of the scene and the residuals of all images, weighed, with priors."""
+) -> _Rows:
+    """Return the rows of all images about a scene."""
     views = [view for recording in recordings for view in recording.views]
     jacobians, residuals = [], []
     for i, view in enumerate(views):
@@ -181,66 +201,110 @@ def _scene_rows(
     prior[:, size - len(scenes.PRIORS) :] = np.diag(1.0 / scenes.PRIORS)
     jacobians.append(prior)
     residuals.append(np.append(scene.hand_eye, scene.stamp_error) / scenes.PRIORS)
-    return np.concatenate(jacobians), np.concatenate(residuals)
+    return _Rows(
+        np.concatenate(jacobians),
+        np.concatenate(residuals),
+        np.concatenate([scenes.range_biases(*each) for each in zip(views, kept, strict=True)]),
+        [view.times[used] for view, used in zip(views, kept, strict=True)],
+    )
+
+
+def _axis_rows(
+    scene: SceneFit, recordings: Sequence[_Recording], camera: Camera, kept: Sequence[Mask]
+) -> list[Array]:
+    """Return how the weighed residuals of each view change with each axis (axes, m, 6) [1/rad]."""
+    rows: list[Array] = []
+    for recording in recordings:
+        paths = [_shifted(recording.trace, STEP * slope) for slope in recording.slopes]
+        for view in recording.views:
+            index = len(rows)
+            e = scenes.residuals(scene, index, view, camera)
+            moved = [
+                scenes.residuals(scene, index, replace(view, tcp_path=path), camera)
+                for path in paths
+            ]
+            rows.append(((np.array(moved) - e) / STEP / scenes.spread(view))[:, kept[index]])
+    return rows
 
 
 def _windup_rows(
     scene: SceneFit,
     recordings: Sequence[_Recording],
-    camera: Camera,
+    slopes: Sequence[Array],
     kept: Sequence[Mask],
     travel: float,
 ) -> Array:
     """Return how the residuals change with each depth, then with each windup at the beginning."""
-    count, index, blocks = len(recordings[0].slopes), 0, []
+    count = len(recordings[0].slopes)
+    blocks: list[Array] = []
     for r, recording in enumerate(recordings):
-        shifts = [*_shifts(recording, travel)]
+        shares = _shares(recording, travel)
         for view in recording.views:
-            spread = scenes.spread(view)
-            e = scenes.residuals(scene, index, view, camera)
-            block = np.zeros((int(kept[index].sum()) * 6, count * (1 + len(recordings))))
-            for n, shift in enumerate(shifts):
-                moved = replace(view, tcp_path=_shifted(recording.trace, STEP * shift))
-                change = (scenes.residuals(scene, index, moved, camera) - e) / STEP / spread
+            index = len(blocks)
+            t = view.times[kept[index]] + scene.stamp_error
+            block = np.zeros((6 * len(t), count * (1 + len(recordings))))
+            for n, share in enumerate(shares):
+                at = np.interp(t, recording.trace.robot_times, share)
                 column = n if n < count else n + r * count
-                block[:, column] = change[kept[index]].ravel()
+                block[:, column] = -(at[:, None] * slopes[index][n % count]).ravel()
             blocks.append(block)
-            index += 1
     return np.concatenate(blocks)
 
 
-def _shifts(recording: _Recording, travel: float) -> Iterator[Array]:
-    """Yield by how much the tcp (m, 6) moves with each depth, then with each beginning."""
-    slopes = recording.slopes
-    motors = recording.trace.motors[:, : len(slopes)]
+def _shares(recording: _Recording, travel: float) -> list[Array]:
+    """Return the windup (m,) of each axis of depth 1, then what is left of its beginning."""
+    motors = recording.trace.motors[:, : len(recording.slopes)]
     ways = np.cumsum(np.abs(np.diff(motors, axis=0, prepend=motors[:1])), axis=0)
-    for axis, slope in enumerate(slopes):
-        yield -dahl(motors[:, axis], travel)[:, None] * slope
-    for axis, slope in enumerate(slopes):
-        yield -np.exp(-ways[:, axis] / travel)[:, None] * slope
+    return [*(dahl(motor, travel) for motor in motors.T), *np.exp(-ways.T / travel)]
 
 
 def _shifted(trace: Trace, shift: Array) -> TcpPath:
     return tcp_path(replace(trace, tcp=trace.tcp + shift))
 
 
-def _solved(base: Array, columns: Array, wanted: Array, count: int) -> tuple[float, Array, Array]:
+def _solved(rows: _Rows, columns: Array, count: int) -> tuple[float, Array, Array]:
     """Return the cost, the depths (count,) and their deviations [rad]."""
+    base, images = rows.jacobian, len(columns)
     size, width = base.shape[1], columns.shape[1]
-    priors = len(base) - len(columns)
-    lower = np.zeros((priors + width, width))
-    lower[priors:] = np.eye(width) / PRIOR
-    X = np.block([[base, np.vstack((columns, lower[:priors]))],
-                  [np.zeros((width, size)), lower[priors:]]])  # fmt: skip
-    y = -np.append(wanted, np.zeros(width))
+    others = np.append(np.full(width, PRIOR), np.ones(rows.biases.shape[1]))
+    X = np.zeros((len(base) + len(others), size + len(others)))
+    X[: len(base), :size] = base
+    X[:images, size:] = np.hstack((columns, rows.biases))
+    X[len(base) :, size:] = np.diag(1.0 / others)
+    y = -np.append(rows.residuals, np.zeros(len(others)))
     scale = np.maximum(np.sqrt(np.sum(X * X, axis=0)), 1e-12)
-    values = np.linalg.lstsq(X / scale, y, rcond=1e-10)[0] / scale
+    X /= scale
+    inverse = np.linalg.pinv(X.T @ X, rcond=1e-12, hermitian=True)
+    values = inverse @ (X.T @ y)
     left = y - X @ values
-    chi2 = max(float((1.4826 * np.median(np.abs(left[: len(columns)]))) ** 2), 0.1)
-    covariance = np.linalg.pinv((X / scale).T @ (X / scale), hermitian=True) * chi2
-    deviations = np.sqrt(np.maximum(covariance.diagonal(), 0.0)) / scale
+    chi2 = max(float((1.4826 * np.median(np.abs(left[:images]))) ** 2), 0.1)
+    chi2 *= _growth(rows.times, X[:images], inverse, left[:images])
+    deviations = np.sqrt(np.maximum(inverse.diagonal() * chi2, 0.0)) / scale
     part = slice(size, size + count)
-    return float(left @ left), values[part], deviations[part]
+    return float(left @ left), (values / scale)[part], deviations[part]
+
+
+def _growth(times: Sequence[Array], X: Array, inverse: Array, left: Array) -> float:
+    """Return how much larger a covariance is than if each image had errors of its own.
+
+    It is the spread of blocks' sums over what independent errors would leave of it after the fit.
+
+    Args:
+        times: (m,) of the images of each view [s].
+        X: (rows, n) of all images.
+        inverse: (n, n) covariance of the fit with errors of deviation 1.
+        left: (rows,) residuals after it.
+    """
+    begin, together, taken = 0, 0.0, 0.0
+    for t in times:
+        part = slice(begin, begin + 6 * len(t))
+        together += float(np.sum(scenes.block_sums(t, left[part].reshape(-1, 6)) ** 2))
+        summed = scenes.block_sums(t, X[part].reshape(len(t), -1)).reshape(-1, X.shape[1])
+        taken += float(np.sum((summed @ inverse) * summed))
+        begin = part.stop
+    free, alone = len(X) - X.shape[1], float(left @ left)
+    growth: float = together / max(len(X) - taken, 1.0) * free / max(alone, 1e-12)
+    return max(growth, 1.0)
 
 
 def dahl(motor: Array, travel: float) -> Array:

@@ -244,7 +244,8 @@ def fit(
     A, _ = _normal(scene, seen, camera, kept, shared)
     chi2 = _chi2(scene, seen, camera, kept)
     inverse = np.linalg.pinv(A, hermitian=True)
-    covariance = inverse * max(chi2 * _growth(scene, seen, camera, kept), 1e-12)
+    correlated = _growth(weighed_images(scene, seen, camera, kept), _size(scene))
+    covariance = inverse * max(chi2 * correlated, 1e-12)
     if shared:
         covariance += _considered(scene, seen, camera, kept, inverse)
     first = _size(scene) - _shared_size(scene)
@@ -268,9 +269,7 @@ def _robust_chi2(values: Array) -> float:
 
 
 def _chi2(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
-    weighed = [
-        (residuals(scene, i, view, camera) / spread(view))[kept[i]] for i, view in enumerate(seen)
-    ]
+    weighed = [e for _, e in weighed_images(scene, seen, camera, kept)]
     return max(_robust_chi2(np.concatenate(weighed)), 1e-12)
 
 
@@ -300,9 +299,8 @@ def _descend(
 def _cost(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
     prior = np.append(scene.hand_eye, scene.stamp_error) / PRIORS
     total = float(prior @ prior)
-    for i, view in enumerate(seen):
-        weighed = (residuals(scene, i, view, camera) / spread(view))[kept[i]]
-        total += float(np.sum(weighed * weighed))
+    for _, e in weighed_images(scene, seen, camera, kept):
+        total += float(np.sum(e * e))
     return total
 
 
@@ -372,39 +370,56 @@ def _normal(
     return A, g
 
 
-def _growth(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
+def weighed_images(
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: Sequence[Mask]
+) -> list[tuple[Array, Array]]:
+    """Return the times (m,) and the weighed residuals (m, 6) of each recording's used images."""
+    return [
+        (view.times[used], (residuals(scene, i, view, camera) / spread(view))[used])
+        for i, (view, used) in enumerate(zip(seen, kept, strict=True))
+    ]
+
+
+def _growth(weighed: Sequence[tuple[Array, Array]], parameters: int) -> float:
     """Return how much larger a covariance is than if each image had errors of its own.
 
     It is the spread of blocks' sums over that of independent residuals. A fit takes its parameters'
     share out of the sums.
     """
-    together, alone, count = 0.0, 0.0, 0
-    for i, view in enumerate(seen):
-        weighed = (residuals(scene, i, view, camera) / spread(view))[kept[i]]
-        blocks = ((view.times[kept[i]] - view.times[0]) / BLOCK_S).astype(int)
-        sums = np.zeros((int(blocks.max(initial=0)) + 1, weighed.shape[1]))
-        np.add.at(sums, blocks, weighed)
-        together, alone = together + float(np.sum(sums**2)), alone + float(np.sum(weighed**2))
-        count += sums.size
-    free = max(count - _size(scene), 1)
-    return max(together / max(alone, 1e-12) * count / free, 1.0)
+    sums = np.concatenate([block_sums(times, e).ravel() for times, e in weighed])
+    alone = sum(float(np.sum(e**2)) for _, e in weighed)
+    free = max(sums.size - parameters, 1)
+    return max(float(np.sum(sums**2)) / max(alone, 1e-12) * sums.size / free, 1.0)
+
+
+def block_sums(times: Array, rows: Array) -> Array:
+    """Return the sums (blocks, n) of rows (m, n) at times (m,), over ``BLOCK_S`` each."""
+    blocks = ((times - times.min(initial=np.inf)) / BLOCK_S).astype(int)
+    sums = np.zeros((int(blocks.max(initial=0)) + 1, rows.shape[1]))
+    np.add.at(sums, blocks, rows)
+    return sums
+
+
+def range_biases(view: Views, kept: Mask) -> Array:
+    """Return what each bias that grows with the range adds to the weighed residuals (6m, 3).
+
+    Biases are not fitted, but considered (Bierman, 1977): each moves the result by its gradient.
+    """
+    ranges = np.linalg.norm(view.positions, axis=1)
+    moved = np.zeros((len(RANGE_BIAS), len(ranges), 6))
+    for axis, bias in enumerate(RANGE_BIAS):
+        moved[axis, :, axis] = bias * ranges
+    return (moved / spread(view))[:, kept].reshape(len(RANGE_BIAS), -1).T
 
 
 def _considered(
     scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask], inverse: Array
 ) -> Array:
-    """Return what biases of the camera that grow with the range add to the covariance.
-
-    They are not fitted, but considered (Bierman, 1977): each moves the result by its gradient.
-    """
+    """Return what the range biases add to the covariance."""
     gradients = np.zeros((_size(scene), len(RANGE_BIAS)))
     for i, view in enumerate(seen):
         jacobian, _ = linearised(scene, i, view, camera, kept[i])
-        ranges = np.linalg.norm(view.positions, axis=1)
-        for axis, bias in enumerate(RANGE_BIAS):
-            moved = np.zeros((len(ranges), 6))
-            moved[:, axis] = bias * ranges
-            gradients[:, axis] += jacobian.T @ (moved / spread(view))[kept[i]].ravel()
+        gradients += jacobian.T @ range_biases(view, kept[i])
     moves: Array = inverse @ gradients
     return moves @ moves.T
 

@@ -48,9 +48,9 @@ def led(links: Array, depth: float) -> Array:
 
 
 @cache
-def recording(depths: tuple[float, ...] = DEPTHS) -> Trace:
+def recording(depths: tuple[float, ...] = DEPTHS, slow: float = 0.0, seed: int = 0) -> Trace:
     """What is recorded with an arm whose first axes wind up."""
-    true = seen(Sight(moving=0.08, range_swing=0.08))
+    true = seen(Sight(moving=0.08, range_swing=0.08, slow=slow, seed=seed))
     links = np.column_stack((true.tcp[:, :3] / LEVER, true.tcp[:, 3:]))
     motors = links.copy()
     for axis, depth in enumerate(depths):
@@ -84,6 +84,15 @@ def test_only_axes_that_wind_up_get_settings() -> None:
 @pytest.mark.row
 def test_an_arm_without_windup_gets_none() -> None:
     assert found((0.0, 0.0, 0.0)).axes == ()
+
+
+@pytest.mark.row
+def test_correlated_errors_of_the_camera_are_in_the_deviations() -> None:
+    slow = recording((0.0, 0.0, 0.0), slow=1.0, seed=1)
+    result = identify_arm_windup([slow], look, CAMERA, kinematics, NOMINAL)
+    known = [each for each in result.depths if isinstance(each, Estimate)]
+    assert result.axes == ()
+    assert max(abs(each.value) / each.deviation for each in known[:3]) < 3.0
 
 
 @pytest.mark.row
