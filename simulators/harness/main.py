@@ -407,6 +407,13 @@ def _add_world(commands: "Commands[CommandLine]") -> None:
         metavar="N",
         help="cars before each run in the same cell, whose touches correct the camera; 0",
     )
+    world.add_argument(
+        "--identified",
+        type=int,
+        default=0,
+        metavar="N",
+        help="exercises before each row in the same cell, for `linemate identify`; 0",
+    )
     world.add_argument("--json", action="store_true", help="print JSON instead of a table")
     world.add_argument("--check", action="store_true", help="end with 1 if a run collided")
     world.add_argument("--list", action="store_true", help="print the rows and what they change")

@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings, EffectorMode, ServoModel
 from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
@@ -117,10 +118,21 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
 
 
 def _exercise(plan: IdentificationPlan) -> Setup:
-    """Return the exercise: programmed motion alone, undamped, so that the tool rings."""
+    """Return the exercise of a plan's cell."""
     setup = _initial_setup(plan, EXERCISE_SCENARIO)
     cell = _cell(plan)
-    task = exercise.of_cell(shipped_task() if cell is None else cell.task)
+    return _exercising(setup, exercise.of_cell(shipped_task() if cell is None else cell.task))
+
+
+def exercise_in(setup: Setup) -> Setup:
+    """Return the exercise in the plant of a run, by a daemon that knows nothing of it."""
+    truth = _with_events(setup.scenario, scenario_file.load(EXERCISE_SCENARIO))
+    stranger = replace(setup, scenario=truth, tracking=STRANGE_TRACKING, control=STRANGER)
+    return _exercising(stranger, exercise.of_cell(shipped_task()))
+
+
+def _exercising(setup: Setup, task: Task) -> Setup:
+    """Return a run of programmed motion alone, undamped, so that the tool rings."""
     return replace(
         setup,
         task=task.file,
@@ -145,8 +157,13 @@ def _truth(name: str, cell: CellFiles | None, scenario: str | None) -> Scenario:
     own = scenario_file.load(plant, nominal)
     if name != EXERCISE_SCENARIO:
         return own
-    conveyor = replace(own.conveyor, events=order.conveyor.events)
-    return replace(own, conveyor=conveyor, lead_in_s=order.lead_in_s, duration_s=order.duration_s)
+    return _with_events(own, order)
+
+
+def _with_events(truth: Scenario, order: Scenario) -> Scenario:
+    """Return a plant with the stops and starts, and the times, of another scenario."""
+    conveyor = replace(truth.conveyor, events=order.conveyor.events)
+    return replace(truth, conveyor=conveyor, lead_in_s=order.lead_in_s, duration_s=order.duration_s)
 
 
 def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:

@@ -25,7 +25,8 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.worker_pool import progress_bar, spread
-from linemate.simulators.lab.world import drawn_world, world_table
+from linemate.simulators.lab.world import as_identified, drawn_world, world_table
+from linemate.simulators.lab.world.as_identified import CellJob
 from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 
 WORKERS = 2
@@ -55,7 +56,8 @@ def main(args: Namespace) -> int:
     """Measure what the arguments say.
 
     Args:
-        args: world, rows, seeds, cycle_ms, overrides, learnt, workers, kept, json, list.
+        args: world, rows, seeds, cycle_ms, overrides, learnt, identified, workers, kept, json,
+            list.
 
     Returns:
         0 when every run was made; 1 with ``--check`` if one of them collided.
@@ -69,8 +71,11 @@ def main(args: Namespace) -> int:
         return 0
     jobs = prepare(names, args.seeds, args.overrides, args.cycle_ms, args.kept)
     jobs = [replace(job, learnt=args.learnt) for job in jobs]
+    workers = args.workers or WORKERS
+    if args.identified:
+        jobs = identified(jobs, args.identified, workers)
     with progress_bar(len(jobs), "world") as progress:
-        runs = spread(measured, jobs, args.workers or WORKERS, progress)
+        runs = spread(measured, jobs, workers, progress)
     whole = collect(runs)
     print(report_json.text(whole) if args.json else world_table.text(whole))
     return int(args.check and any(run["outcome"] == "collision" for run in runs))
@@ -135,6 +140,16 @@ def prepare(
         for name in names
         for seed in seeds
     ]
+
+
+def identified(jobs: Sequence[WorldJob], exercises: int, workers: int) -> list[WorldJob]:
+    """Return jobs whose daemons have what exercises in their cells show, each cell once."""
+    cells = {repr(job.setup): job for job in jobs}
+    with progress_bar(len(cells), "identify") as progress:
+        cell_jobs = [CellJob(job.setup, exercises, job.kept, job.sources) for job in cells.values()]
+        setups = spread(as_identified.identified, cell_jobs, workers, progress)
+    known = dict(zip(cells, setups, strict=True))
+    return [replace(job, setup=known[repr(job.setup)]) for job in jobs]
 
 
 def _setup(name: str, overrides: Sequence[str], cycle_ms: float | None, seed: int | None) -> Setup:

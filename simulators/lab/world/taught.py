@@ -20,10 +20,12 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
     """Return a setup with what some cars have taught the daemon.
 
     Args:
-        seed: of the judged run, whose cell it is.
+        seed: of the judged run, whose cell it is unless the scenario states its own.
     """
     learner = TouchLearner()
-    cell = replace(setup, scenario=replace(setup.scenario, cell_seed=seed))
+    own = setup.scenario.cell_seed
+    cell_seed = seed if own is None else own
+    cell = replace(setup, scenario=replace(setup.scenario, cell_seed=cell_seed))
     for car in range(cars):
         known = replace(cell, tracking=setup.tracking)
         lockstep.run(
