@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
@@ -18,6 +19,7 @@ from linemate.daemon.identification.trace import Images
 POSITION_DEVIATION = 0.0015  # [m]
 ANGLE_DEVIATION = 0.004  # [rad]
 STAMP_DEVIATION = 0.003  # [s]
+CHANCE = 1e-3  # probability that a pose which is right is corrected
 LOSSES = 5.0  # most images in a row that count as lost
 
 
@@ -82,6 +84,20 @@ def identify_camera(
         f"(known to +-{1e3 * deviations[6]:.1f} ms)",
     )
     return CameraResult(position, rotation, stamp, latency, period)
+
+
+def corrections(outcomes: Sequence[Outcome]) -> Array:
+    """Return what a configured pose is corrected by, zeros unless it is significantly off.
+
+    The outcomes are judged together: a camera may be off a little along each axis. A correction
+    within its deviation would add more than it takes away, so that value stays as configured.
+    """
+    rows = [(e.value, e.deviation) if isinstance(e, Estimate) else (0.0, 1.0) for e in outcomes]
+    values, deviations = np.array(rows).T
+    known = sum(isinstance(outcome, Estimate) for outcome in outcomes)
+    if not known or chi2.sf(float(np.sum((values / deviations) ** 2)), known) > CHANCE:
+        return np.zeros(len(outcomes))
+    return np.where(np.abs(values) > deviations, values, 0.0)
 
 
 def _outcome(value: float, deviation: float, limit: float, basis: str, reason: str) -> Outcome:

@@ -31,10 +31,10 @@ from linemate.daemon.identification import (
     swing,
 )
 from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, identify_arm_windup
-from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
+from linemate.daemon.identification.hand_eye import CameraResult, corrections, identify_camera
 from linemate.daemon.identification.noise import NoiseResult, identify_noise
 from linemate.daemon.identification.offset import OffsetResult, identify_offset
-from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
+from linemate.daemon.identification.outcome import Estimate, Refusal, ReportLine
 from linemate.daemon.identification.ring_down import ModeResult, identify_modes
 from linemate.daemon.identification.scene_fit import Views
 from linemate.daemon.identification.servo_models import ServoResult, identify_servos
@@ -43,7 +43,6 @@ from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.stamped_samples import AXES
 
-SIGNIFICANT = 4.0  # least offset of a corrected hand-eye pose, in deviations
 MOST_UNFIT = 20  # rounds in which values that do not fit are left out
 SAME_CYCLE = 0.01  # largest difference of cycle times that count as the same
 
@@ -388,7 +387,7 @@ def _mean(values: Sequence[float]) -> float:
 def _hand_eye(cell: _Cell, vision: CameraResult) -> dict[str, Any] | None:
     """Return the corrected camera pose if an estimate is significantly off, else None."""
     place = cell.task.arm.camera_in_tcp
-    shift, turn = _corrections(vision.position), _corrections(vision.rotation)
+    shift, turn = corrections(vision.position), corrections(vision.rotation)
     if not (shift.any() or turn.any()):
         return None
     rotation = rotations.matrix(place.quaternion) @ rotations.exp(turn)
@@ -396,14 +395,6 @@ def _hand_eye(cell: _Cell, vision: CameraResult) -> dict[str, Any] | None:
         "position": [_digits(v) for v in (np.array(place.position) + shift).tolist()],
         "quaternion": [round(v, 12) for v in rotations.quaternion(rotation)],
     }
-
-
-def _corrections(outcomes: Sequence[Outcome]) -> Array:
-    """Return the corrections (3,): all estimates if one is significant, else zero."""
-    estimates = [outcome if isinstance(outcome, Estimate) else None for outcome in outcomes]
-    if not any(e is not None and abs(e.value) > SIGNIFICANT * e.deviation for e in estimates):
-        return np.zeros(3)
-    return np.array([0.0 if e is None else e.value for e in estimates])
 
 
 def _plain(value: Any) -> dict[str, Any]:
