@@ -64,7 +64,7 @@ fuzz: .venv/.ok
 	.venv/bin/python tests/fuzz.py $(ARGS)
 
 # Every branch of the state machine, the gate, the exchange and the parsers, by their own tests.
-OWN_TESTS := tests/protocol tests/cycle/test_states.py tests/cycle/test_states_transcript.py \
+OWN_TESTS := tests/protocol tests/cycle/test_states_cases.py tests/cycle/test_states_transcript.py \
 	tests/cycle/test_watch.py \
 	tests/core/control/test_command_limiter.py tests/core/control/test_command_limiter_transcript.py
 JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/axis_limits.py,protocol/exchange*.py

@@ -34,6 +34,7 @@ FIRST_S = 900.0  # without a mutation, on a machine that has other work
 TESTS: dict[str, tuple[str, ...]] = {
     "daemon/cycle/states.py": (
         "tests/cycle/test_states_transcript.py",
+        "tests/cycle/test_states_cases.py",
         "tests/cycle/test_states.py",
     ),
     "daemon/cycle/watch.py": (

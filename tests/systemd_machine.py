@@ -113,7 +113,7 @@ class Machine:
                 target.mkdir(parents=True)
                 shutil.copy(CHECKOUT / "__init__.py", target)
                 continue
-            shutil.copytree(CHECKOUT / folder, target, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(CHECKOUT / folder, target)  # with its bytecode, as pip installs it
         bin_ = self.tree / PROGRAM[1:] / "bin"
         bin_.mkdir()
         for name, entry in project["project"]["scripts"].items():

@@ -85,6 +85,7 @@ def test_poses_in_time_are_followed(stood: World) -> None:
     assert off.max() < 2e-4
 
 
+@pytest.mark.long
 def test_chunks_late_by_800_ms_and_in_bursts_never_jump(stood: World) -> None:
     begin_ns = stood.stamp_ns + 200_000_000
     arrivals: dict[int, list[Chunk]] = {0: [chunk(stood, begin_ns, 0.0, 10)]}

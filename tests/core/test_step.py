@@ -97,6 +97,7 @@ def assert_within(commands: Sequence[Sequence[float]] | Array, cycle_s: float = 
 # Purity.
 
 
+@pytest.mark.long
 def test_the_same_state_and_inputs_give_the_same_outputs_bit_for_bit(assembly: Assembly) -> None:
     for k in range(0, len(assembly.inputs), 23):
         _, again = step(assembly.states[k], assembly.inputs[k], P)
@@ -123,6 +124,7 @@ def other_deliveries(state: StepState, inputs: Inputs) -> list[Inputs]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.row
 @pytest.mark.parametrize("order", list(MotionOrder))
 def test_a_plan_finished_for_another_delivery_of_the_last_command_is_the_whole_step(
@@ -455,6 +457,7 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     assert np.isfinite(commands).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
 def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:
     """Led on towards the object, the tool would come to it: 0.2 s later it touches."""

@@ -51,6 +51,7 @@ def followed(model: dead_time.DriftModel, setpoints: Array, reported: Array) -> 
     return np.array(drifts)
 
 
+@pytest.mark.long
 @pytest.mark.row
 @pytest.mark.parametrize("cycle_s", [0.002, 0.008, 0.024])
 @pytest.mark.parametrize("later_s", [-0.015, 0.083])
@@ -60,6 +61,7 @@ def test_the_drift_becomes_that_of_the_answers(cycle_s: float, later_s: float) -
     assert drifts[-1] == pytest.approx(later_s, abs=0.0008)
 
 
+@pytest.mark.long
 def test_a_servo_without_dead_time_is_computed_exactly() -> None:
     for cycle_s in (0.008, 0.024):
         setpoints = moved(3.0, cycle_s)
@@ -75,6 +77,7 @@ def test_a_servo_without_dead_time_is_computed_exactly() -> None:
         assert state.responses[0] == pytest.approx(np.array(expected), abs=3e-6)
 
 
+@pytest.mark.long
 def test_the_drift_is_never_faster_than_its_rate() -> None:
     cycle_s, slow = 0.008, replace(DRIFT, rate=0.004)
     model = compiled(cycle_s, replace(SETTINGS, drift=slow))
@@ -85,6 +88,7 @@ def test_the_drift_is_never_faster_than_its_rate() -> None:
     assert drifts[-1] < 0.004 * 5.0 + 1e-9
 
 
+@pytest.mark.long
 def test_an_arm_at_rest_keeps_its_drift() -> None:
     model = compiled()
     setpoints = np.zeros((500, AXES))
@@ -149,6 +153,7 @@ def test_without_bounds_the_dead_time_is_fixed_and_the_reach_is_the_set_one() ->
     assert dead_time.future_reach(ControlSettings()) == 0.096
 
 
+@pytest.mark.long
 def test_the_horizon_reaches_as_far_as_the_longest_dead_time_needs() -> None:
     late = [replace(servo, dead_time=0.084) for servo in ControlSettings().servos]
     settings = ControlSettings(servos=tuple(late), drift=DeadTimeDrift(longer=0.096))

@@ -499,6 +499,7 @@ def ripple_errors(bank: BankClassifier, hz: float, ahead: float, *, touch: bool)
     return np.array(errors)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
 @pytest.mark.parametrize("off", [0.97, 1.0, 1.03])
 def test_a_periodic_ripple_is_foreseen_with_its_frequency_a_few_hundredths_off(
@@ -556,6 +557,7 @@ def test_the_chain_of_a_conveyor_that_starts_is_no_stop(seed: int) -> None:
     assert float(np.std(errors)) < 0.0007
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
 def test_a_ripple_where_none_is_expected_costs_little(touch: bool) -> None:
     quiet = BankSettings(penalty=50.0, contact_penalty=50.0)
@@ -715,6 +717,7 @@ def test_a_stop_that_coasts_out_ends_and_is_no_start(tau: float) -> None:
     assert all(float(state.x[1]) >= -1e-3 for state in states)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("sway", [0.0002, 0.0005, 0.001])
 def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: float) -> None:
     states = followed(*coasting(0.05, 10.0), sway=sway)

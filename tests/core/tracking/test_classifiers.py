@@ -73,6 +73,7 @@ def latencies(classifier: Classifier, kind: str, what: str) -> list[float]:
     ]
 
 
+@pytest.mark.long
 @each
 def test_a_stop_is_perceived_and_confirmed_before_the_conveyor_has_stopped(
     classifier: Classifier,
@@ -84,6 +85,7 @@ def test_a_stop_is_perceived_and_confirmed_before_the_conveyor_has_stopped(
         assert outcome.count("confirmed") == 1
 
 
+@pytest.mark.long
 @each
 def test_a_start_is_confirmed_before_the_conveyor_has_its_speed_again(
     classifier: Classifier,
@@ -235,6 +237,7 @@ def test_a_sensor_that_is_silent_for_half_a_second_is_survived(classifier: Class
     assert np.abs(outcome.position_errors(truth, 1.0)).max() < 0.004
 
 
+@pytest.mark.long
 @each
 @pytest.mark.parametrize("source", [Source.DISTANCE, Source.CAMERA])
 @pytest.mark.parametrize("delay", [0.0123, 0.25])
@@ -450,6 +453,7 @@ def disturbed(
     return confirmed, ended - confirmed, longest, view.motion
 
 
+@pytest.mark.long
 @each
 @pytest.mark.parametrize("vanishes", [False, True])
 @pytest.mark.parametrize("growth", [START, 0.03])
@@ -464,6 +468,7 @@ def test_a_start_that_does_not_speed_up_is_taken_back_within_half_a_second(
         assert last is Motion.STANDING
 
 
+@pytest.mark.long
 @each
 def test_a_short_creep_of_the_conveyor_leaves_no_change_tentative(classifier: Classifier) -> None:
     for seed in SEEDS:
@@ -477,6 +482,7 @@ def test_a_short_creep_of_the_conveyor_leaves_no_change_tentative(classifier: Cl
         assert outcome.motion(11.9) is Motion.STANDING
 
 
+@pytest.mark.long
 @each
 @pytest.mark.parametrize("share", [0.6, 1.5])
 def test_a_start_of_another_acceleration_is_not_taken_back(

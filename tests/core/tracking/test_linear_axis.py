@@ -86,6 +86,7 @@ RUNS = {
 SLOWEST = "stop and slow start"
 
 
+@pytest.mark.long
 @pytest.mark.row
 @pytest.mark.parametrize(
     ("name", "classifier"),

@@ -30,6 +30,7 @@ def delay(deviation: float, seed: int) -> float:
     return t - STEADY_S
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("deviation", [0.001, 0.004])
 def test_the_law_is_what_the_bank_needs_for_most_stops(deviation: float) -> None:
     delays = sorted(delay(deviation, seed) for seed in range(RUNS))

@@ -142,6 +142,7 @@ def test_a_known_pendulum_is_right_while_nothing_sees_it() -> None:
     assert places[1] - places[0] == pytest.approx(body[1] - body[0], abs=6e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("in_contact", [False, True])
 @pytest.mark.parametrize("frequency_hz", [0.4, 0.7, 1.2, 2.0, 4.0])
 def test_a_sway_while_standing_is_no_start(frequency_hz: float, in_contact: bool) -> None:
@@ -219,6 +220,7 @@ def test_a_gain_that_no_recording_shows_counts_more_than_its_deviation_where_it_
     assert BANK.estimate(found).unknown_sway == pytest.approx(2.0 * 0.5 / omega**2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("late_s", [0.0, 0.15])
 def test_a_sway_that_the_tools_force_changes_is_no_push(late_s: float) -> None:
     """A touch drags at a body that sways: its amplitude changes by half within 0.2 s."""

@@ -508,6 +508,7 @@ def test_a_step_of_the_orientation_is_no_swing_while_the_tool_seats_itself() -> 
 
 # A sighting's row knows how the swing came here from then, but not what else has walked since:
 # with a delay the model matches only where next to nothing walks.
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("late", "fusion"),
     [(0, FusionSettings()), (8, FusionSettings(position=1e-5, angle=2e-5, swing=1e-5))],
