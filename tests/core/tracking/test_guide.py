@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers import bank_filter, guide
+from linemate.daemon.core.tracking.classifiers import bank_filter, bank_prediction, guide
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     IMPULSE,
@@ -312,3 +312,28 @@ def test_a_body_that_sways_on_cancels_no_stop_that_the_guide_follows() -> None:
     assert bank_filter.predict(BANK, state, DT).motion is Motion.STOPPING
     free = bank_filter.predict(BANK, structs.replace(state, guide=None), DT)
     assert free.motion is not Motion.STOPPING
+
+
+def weighed(change_odds: float, distance_odds: float, *, is_announced: bool = True) -> float:
+    """The weight of a stop in contact, with a force that an impulse explains as well."""
+    state, _ = in_contact(3.0, 0.0)
+    change = structs.replace(state.change, odds=30.0)
+    impulse = structs.replace(state.impulse, odds=30.0 - change_odds)
+    state = structs.replace(
+        state,
+        change=change,
+        impulse=impulse,
+        change_odds=change_odds,
+        distance_odds=distance_odds,
+        is_keen=True,
+        is_firm=False,
+    )
+    return bank_prediction.hypothesis_weights(BANK, state, is_announced=is_announced)[0]
+
+
+def test_an_impulse_that_leads_no_target_hides_no_stop_that_is_announced() -> None:
+    """Fault seed 20003 of tf03: 201 N, for no stop counted while an impulse could be one too."""
+    assert weighed(2.0, 0.0) > 0.4
+    assert weighed(2.0, 0.0, is_announced=False) < 0.01
+    assert weighed(-5.0, 0.0) < 0.01
+    assert weighed(2.0, -3.0) < 0.01

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.tracking.classifiers import stop_input
-from linemate.daemon.core.tracking.task import StopInput
+from linemate.daemon.core.tracking.task import ConveyorClasses, StopInput
 
 WIRED = StopInput(bit=4, before=0.05, after=0.03)
 AGES = np.arange(1, 60) * 0.012
@@ -39,3 +39,11 @@ def test_a_bit_that_chatters_or_is_not_wired_announces_nothing_more() -> None:
     assert stop_input.edge_age(WIRED, 0.4, 0, 16) == 0.4
     assert stop_input.edge_age(StopInput(), math.inf, 0, 16) == math.inf
     assert stop_input.edge_age(WIRED, 2.0, 0, None) == 2.0
+
+
+@pytest.mark.parametrize(("deviation", "counted_s"), [(0.00038, 0.3), (0.002, 0.44)])
+def test_an_edge_counts_until_the_distance_sensor_can_show_the_stop(
+    deviation: float, counted_s: float
+) -> None:
+    counted = stop_input.counted_for(ConveyorClasses(deceleration=0.104), deviation)
+    assert counted == pytest.approx(counted_s, abs=0.01)

@@ -67,8 +67,8 @@ def _weighted_estimates(
     model: BankModel, state: BankState
 ) -> list[tuple[float, Array, Motion, float]]:
     """Return weight, estimate (10,), class and impulse frequency of what the prediction mixes."""
-    state = _with_announcement(model, state)
-    change, impulse = hypothesis_weights(model, state)
+    before, state = state, _with_announcement(model, state)
+    change, impulse = hypothesis_weights(model, state, is_announced=state is not before)
     estimates, rest = [], 1.0
     if change > LEAST_WEIGHT:
         motion, _ = NEXT[state.motion]
@@ -87,14 +87,23 @@ def _weighted_estimates(
 def _with_announcement(model: BankModel, state: BankState) -> BankState:
     """Return the state with the odds of a stop that the line announces.
 
-    They count for the prediction alone: the sensors must confirm a stop without them.
+    They count for the prediction alone: the sensors must confirm a stop without them. The line
+    knows of it by no sensor, so they add to what each of these says.
     """
-    if state.motion is not Motion.RUNNING or not state.announced_s < stop_input.LATEST_S:
+    latest_s = stop_input.counted_for(model.conveyor, model.distance_deviation)
+    if state.motion is not Motion.RUNNING or not state.announced_s < latest_s:
         return state
     odds = stop_input.onset_odds(model.conveyor.stop_input, state.announced_s, state.changes.age)
     if odds is None:
         return state
-    return replace(state, change=onset_bank.posterior(state.changes, model.change_prior, odds))
+    change = onset_bank.posterior(state.changes, model.change_prior, odds)
+    gained, distance_odds = change.odds - state.change.odds, state.distance_odds
+    return replace(
+        state,
+        change=change,
+        change_odds=state.change_odds + gained,
+        distance_odds=None if distance_odds is None else distance_odds + gained,
+    )
 
 
 def ramp_estimate(model: BankModel, state: BankState) -> Array:
@@ -141,12 +150,17 @@ def _after_impulse(model: BankModel, state: BankState) -> Array:
     return x
 
 
-def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float]:
+def hypothesis_weights(
+    model: BankModel, state: BankState, *, is_announced: bool = False
+) -> tuple[float, float]:
     """Return the weights of a change of class and of an impulse in the prediction.
 
     Only a running or standing conveyor is mixed: on a ramp a mixture does harm. A penalty keeps
     quiet tracking quiet. Neither counts while the distance sensor is rejected: no class explains
     its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
+
+    Args:
+        is_announced: the line announces a stop, which the odds of a change contain.
     """
     if state.contact and not state.is_keen:
         return 0.0, 0.0
@@ -168,13 +182,21 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
         odds = min(odds, state.distance_odds + DENIED)
     change = caution * (odds - penalty)
     impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
+    # A body that is pushed begins to move as on a conveyor that stops.
+    may_swing = state.is_keen and not state.is_firm
+    shared = _sigmoid(state.change_odds) if may_swing else 1.0
+    if may_swing and is_announced:
+        # The guide leads by no impulse: its odds, which nothing bounds, would hide the stop.
+        return shared * _sigmoid(change), 0.0
     largest = max(change, impulse, 0.0)
     change, impulse = math.exp(change - largest), math.exp(impulse - largest)
     total = math.exp(-largest) + change + impulse
-    # A body that is pushed begins to move as on a conveyor that stops.
-    shared = 1.0 / (1.0 + math.exp(-min(max(state.change_odds, -30.0), 30.0)))
-    may_swing = state.is_keen and not state.is_firm
-    return (shared if may_swing else 1.0) * change / total, impulse / total
+    return shared * change / total, impulse / total
+
+
+def _sigmoid(odds: float) -> float:
+    """Return the probability of log odds."""
+    return 1.0 / (1.0 + math.exp(-min(max(odds, -30.0), 30.0)))
 
 
 def _nonlinear_part(

@@ -342,7 +342,8 @@ class BankClassifier(BankModel):
             return False
         if state.change_odds > limit or state.impulse_odds > self.impulse.confirmed:
             return True
-        if state.announced_s < stop_input.LATEST_S:  # the announcement raises the odds later
+        latest_s = stop_input.counted_for(self.conveyor, self.distance_deviation)
+        if state.announced_s < latest_s:  # the announcement raises the odds later
             return True
         weight, _ = bank_prediction.hypothesis_weights(self, state)
         return weight > bank_prediction.LEAST_WEIGHT

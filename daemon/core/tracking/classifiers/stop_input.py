@@ -10,9 +10,10 @@ import math
 import numpy as np
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.task import StopInput
+from linemate.daemon.core.tracking.task import ConveyorClasses, StopInput
 
-LATEST_S = 0.3  # after an edge in which it counts: by then the readings have decided [s]
+LATEST_S = 0.3  # after an edge in which it counts at least [s]
+DECIDED = 5.0  # sigmas of a reading that the object is off as the readings have decided
 APART_S = 1.0  # between two edges that both count: a bit that chatters announces once
 
 
@@ -29,6 +30,15 @@ def edge_age(settings: StopInput, age: float, was: int, bits: int | None) -> flo
     mask = 1 << settings.bit
     rises = bits & mask and not was & mask
     return 0.0 if rises and age > APART_S else age
+
+
+def counted_for(conveyor: ConveyorClasses, deviation: float) -> float:
+    """Return the time after an edge in which it counts [s]: by then the readings have decided.
+
+    Args:
+        deviation: one sigma of a reading of the distance sensor [m].
+    """
+    return max(LATEST_S, math.sqrt(2.0 * DECIDED * deviation / conveyor.deceleration))
 
 
 def onset_odds(settings: StopInput, edge: float, ages: Array) -> Array | None:
