@@ -125,10 +125,9 @@ def _exercise(plan: IdentificationPlan) -> Setup:
 
 
 def exercise_in(setup: Setup) -> Setup:
-    """Return the exercise in the plant of a run, by a daemon that knows nothing of it."""
+    """Return the exercise in the plant of a run, by its daemon."""
     truth = _with_events(setup.scenario, scenario_file.load(EXERCISE_SCENARIO))
-    stranger = replace(setup, scenario=truth, tracking=STRANGE_TRACKING, control=STRANGER)
-    return _exercising(stranger, exercise.of_cell(shipped_task()))
+    return _exercising(replace(setup, scenario=truth), exercise.of_cell(shipped_task()))
 
 
 def _exercising(setup: Setup, task: Task) -> Setup:

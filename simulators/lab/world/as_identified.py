@@ -2,7 +2,7 @@
 
 Invariants:
     Exercises and runs are in one cell: the fixed errors that a scenario draws are the same.
-    The daemon that exercises knows nothing of the plant. That of the runs gets the overlay alone.
+    A value that an exercise does not show stays as the row has it.
     An overlay is kept under the digest of its sources and of the cell.
 """
 

@@ -16,12 +16,12 @@ ROW = setup.make("world/windup-1mrad", ())
 OVERLAY = {"control": {"windup": [{"depth": 0.5e-3, "travel": 1e-3}]}}
 
 
-def test_the_exercise_is_in_the_rows_plant_by_a_daemon_that_knows_nothing_of_it() -> None:
+def test_the_exercise_is_in_the_rows_plant_by_the_rows_daemon() -> None:
     exercise = identify_run.exercise_in(ROW)
     assert exercise.scenario.robot == ROW.scenario.robot
     assert exercise.scenario.conveyor.events != ROW.scenario.conveyor.events
-    assert exercise.control == replace(identify_run.STRANGER, damping=False)
-    assert exercise.tracking.swing == identify_run.STRANGE_TRACKING.swing
+    assert exercise.control == replace(ROW.control, damping=False)
+    assert exercise.tracking.swing == ROW.tracking.swing
 
 
 def test_a_cell_is_identified_once_and_its_runs_are_in_it(
