@@ -38,6 +38,7 @@ LEAST_SPREAD_S = 0.05  # root of the rejected readings' squared times: a speed t
 BACK_SHARE = 0.25  # of the nominal speed, backwards: a body that sways is slower
 BACK_SIGMAS = 4.0  # of the noise, by which readings have to run backwards
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
+FARTHEST = 1e3  # beyond it the square leaves too few digits for the other variances [m]
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
@@ -240,7 +241,8 @@ def correct(
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
             is_faulty = _is_frozen(state, measurement) or _runs_back(model, state, measurement)
-            if rejections >= MOST_REJECTED and not is_faulty:
+            is_known = abs(nu) < FARTHEST and not is_faulty
+            if rejections >= MOST_REJECTED and is_known:
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
                 return _widened(model, state, nu, measurement.source)
             continue
