@@ -115,7 +115,7 @@ def frozen(rng: random.Random) -> Change:
 
 
 def elsewhere(rng: random.Random) -> Change:
-    """Return a robot that is not where it was told to be, or does not say where it is."""
+    """Return a robot that is not where it is commanded, or does not say where it is."""
 
     def change(inputs: Inputs) -> Inputs:
         if inputs.robot is None or rng.random() < 0.1:

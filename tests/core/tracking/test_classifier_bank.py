@@ -425,6 +425,24 @@ def test_a_stop_declared_within_a_start_becomes_a_start_again() -> None:
     ]
 
 
+def test_a_stop_declared_within_a_slow_start_is_taken_back_long_before_it_is_fast() -> None:
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng, acceleration, declared = np.random.default_rng(3), 0.014, 2.0
+    state, stopping = bank.initial(0.0), 0.0
+    for k in range(1, round(5.0 / T0)):
+        late = max(k * T0 - 1.0, 0.0)
+        way = 0.5 * acceleration * late * late + rng.normal(0.0, DEVIATION)
+        state = bank.advance(
+            state, [PositionMeasurement(Source.DISTANCE, way, 0.0, DEVIATION**2, 4.0)], T0
+        )
+        if abs(late - declared) < 0.5 * T0:
+            state = structs.replace(state, motion=Motion.STOPPING, class_age=0.0)
+        stopping += T0 if state.motion is Motion.STOPPING else 0.0
+    assert stopping < 0.3
+    assert state.motion is Motion.STARTING
+    assert float(state.x[V]) == pytest.approx(acceleration * late, abs=0.006)
+
+
 @pytest.mark.parametrize("share", [0.75, 1.25])
 def test_a_stop_at_the_edge_of_what_is_known_of_it_is_not_taken_back(share: float) -> None:
     truth = Truth(3.0, ((1.0, -share * STOP),))

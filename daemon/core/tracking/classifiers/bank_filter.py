@@ -120,11 +120,18 @@ def _end_class(model: BankModel, state: BankState) -> BankState:
     v = float(state.x[V])
     if state.motion is Motion.STOPPING and _is_stopped(model, state):
         return enter_standing(model, state)
-    if state.motion is Motion.STOPPING and float(_led(state).x[V]) > FAST_SHARE * state.cruise:
+    if state.motion is Motion.STOPPING and _may_be_no_stop(state):
         return _cancel_stop(model, state)
     if state.motion is Motion.STARTING and v >= state.cruise:
         return enter_class(state, Motion.RUNNING, v, 2.0 * REST_DEVIATION)
     return state
+
+
+def _may_be_no_stop(state: BankState) -> bool:
+    """Return whether a stop may turn out to be none: it is fast still, or certainly speeds up."""
+    led = _led(state)
+    certain = 2.0 * math.sqrt(float(led.P[ACCELERATION, ACCELERATION]))
+    return float(led.x[ACCELERATION]) > certain or float(led.x[V]) > FAST_SHARE * state.cruise
 
 
 def _is_stopped(model: BankModel, state: BankState) -> bool:
