@@ -130,7 +130,7 @@ def _end_class(model: BankModel, state: BankState) -> BankState:
 def _may_be_no_stop(state: BankState) -> bool:
     """Return whether a stop may turn out to be none: it is fast still, or certainly speeds up."""
     led = _led(state)
-    certain = 2.0 * math.sqrt(float(led.P[ACCELERATION, ACCELERATION]))
+    certain = 3.0 * math.sqrt(float(led.P[ACCELERATION, ACCELERATION]))
     return float(led.x[ACCELERATION]) > certain or float(led.x[V]) > FAST_SHARE * state.cruise
 
 
