@@ -164,8 +164,8 @@ def enter_standing(model: BankModel, state: BankState) -> BankState:
 def reset_ripple(model: BankModel, state: BankState) -> BankState:
     """Return the state of a conveyor that stands: the phase of its next ripple is unknown.
 
-    The frequency belongs to the drive and stays known. The unit is where it was: what counts as
-    ripple is none of its position.
+    The frequency belongs to the drive and stays known. The unit is where it was: the way of the
+    old ripple is added to its position.
     """
     x, P = state.x.copy(), state.P.copy()
     x[Y] += x[RIPPLE]
@@ -248,8 +248,8 @@ def correct(
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
             is_faulty = _is_frozen(state, measurement) or _runs_back(model, state, measurement)
-            is_known = abs(nu) < FARTHEST and not is_faulty
-            if rejections >= MOST_REJECTED and is_known:
+            may_widen = abs(nu) < FARTHEST and not is_faulty
+            if rejections >= MOST_REJECTED and may_widen:
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
                 return _widened(model, state, nu, measurement.source)
             continue
