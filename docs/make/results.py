@@ -26,6 +26,7 @@ from docs.make import (
     world_results,
 )
 from linemate.simulators.judge.statistics import seed_text
+from linemate.simulators.lab.bench import bench_start
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs/results"
@@ -90,6 +91,11 @@ def processor_time(raw: Result) -> Result:
     return {key: raw[key] for key in ("machine", "cpu")}
 
 
+def start_and_rest(raw: Result) -> Result:
+    """Return what a start, a restart and a rest of the daemon take, with the machine."""
+    return {key: raw[key] for key in ("machine", "start")}
+
+
 COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     "demo": ("linemate-sim demo --json", demo),
     "demo-busy": ("linemate-sim demo --seed SEED --json", busy),
@@ -106,6 +112,7 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
     "cpu": ("linemate-sim bench --parts cpu --cycles 12,4 --json", processor_time),
+    "start": ("linemate-sim bench --parts start --cycles 4 --json", start_and_rest),
     **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
     **{name: (text, shift_results.condensed) for name, text in shift_results.COMMANDS.items()},
     **{name: (text, contact_results.whole) for name, text in contact_results.COMMANDS.items()},
@@ -355,6 +362,24 @@ def by_part() -> str:
     return "\n".join(lines)
 
 
+STARTS = ("", "1.0 s", "", "1.5 s", "60 ms", "5 %", "", "5 %", "5 %")
+"""What is wanted of each row of ``bench_start.rows``."""
+
+
+def by_start() -> str:
+    """Return the table of start, restart and rest of docs/performance.md."""
+    timed = load("start")
+    lines = [
+        f"| figure, load {number(timed['machine']['load_1min'])} | measured | wanted |",
+        "|---|---|---|",
+    ]
+    lines += [
+        f"| {name} | {value} | {wanted} |"
+        for (name, value), wanted in zip(bench_start.rows(timed["start"]), STARTS, strict=True)
+    ]
+    return "\n".join(lines)
+
+
 TABLES: dict[str, Callable[[], str]] = {
     "world-sizes": world_results.sizes,
     "world": lambda: world_results.rows(load, is_stored),
@@ -377,6 +402,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "without": without,
     "step": step,
     "cpu": by_part,
+    "start": by_start,
 }
 
 
