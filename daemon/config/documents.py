@@ -10,16 +10,13 @@ Invariants:
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import MISSING, dataclass, field
+from typing import Any, TypeVar, cast
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError, create_model
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core.core_schema import DataclassSchema
 
-from linemate.daemon.near_names import near_names
+from linemate.daemon.config.reading import filling
 
 T = TypeVar("T")
 
@@ -42,10 +39,6 @@ _AMBIGUOUS = (
     (re.compile(r"[-+]?[0-9][0-9.]*_[0-9_.]*"), "a number without separators or a quoted text"),
     (re.compile(r"[0-9]{4}-[0-9]{1,2}-[0-9]{1,2}([Tt ].*)?"), "a quoted text"),
 )
-
-
-# One entry of ``Attributes:``, with its continuation lines.
-_ENTRY = re.compile(r"^ {8}([a-z_][a-z_0-9, ]*): (.+(?:\n {12}.+)*)", re.MULTILINE)
 
 
 class FileError(Exception):
@@ -167,129 +160,34 @@ def fill(
     Raises:
         FileError: every error at once.
     """
+    filled, wrong_values = filling.fill(target, document.value)
     complaints = list(document.complaints)
-    filled: T | None = None
-    try:
-        wrapped = _model(target).model_validate_json(json.dumps({"root": document.value}))
-        filled = getattr(wrapped, "root")  # noqa: B009 -- create_model adds the field
-    except ValidationError as error:
-        unread = {complaint.path for complaint in complaints if complaint.place is None}
-        invalid = filter(None, map(_complaint, error.errors(include_url=False)))
-        hinted = (_with_near_keys(complaint, target) for complaint in invalid)
-        complaints.extend(complaint for complaint in hinted if complaint.path not in unread)
+    unread = {complaint.path for complaint in complaints if complaint.place is None}
+    complaints.extend(
+        Complaint(wrong.path, wrong.what + _shown(wrong.value), wrong.at_key)
+        for wrong in wrong_values
+        if wrong.path not in unread
+    )
     # A duplicate key, which has a place, does not hide errors of its value.
     wrong = {complaint.path for complaint in complaints if complaint.place is None}
     complaints.extend(c for c in check(document.value) if c.path not in wrong)
-    if complaints or filled is None:
+    if complaints:
         raise FileError(document.lines(complaints))
-    return filled
+    return cast("T", filled)
 
 
 def schema(target: type[Any], title: str) -> dict[str, Any]:
     """Return the JSON schema of a dataclass, with the meaning of each key."""
-    whole = _model(target).model_json_schema(schema_generator=_DocumentedSchema)
-    definitions: dict[str, Any] = whole.pop("$defs")
-    root = definitions.pop(target.__name__)
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **root,
-        "title": title,
-        "$defs": definitions,
-    }
+    from linemate.daemon.config.reading import json_schema  # pydantic is a tenth of a start
 
-
-class _DocumentedSchema(GenerateJsonSchema):
-    """Schema whose descriptions come from the docstrings of the dataclasses."""
-
-    def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
-        """Return the schema of one dataclass."""
-        documented = super().dataclass_schema(schema)
-        docstring = schema["cls"].__doc__ or ""
-        documented["description"] = docstring.partition("\n")[0]
-        for names, text in _ENTRY.findall(docstring):
-            for name in names.split(","):
-                if name.strip() in documented["properties"]:
-                    documented["properties"][name.strip()]["description"] = " ".join(text.split())
-        return documented
-
-
-def _model(target: type[Any]) -> type[BaseModel]:
-    """Return a model with the dataclass as its only field, which inherits the strict settings."""
-    if target not in _MODELS:
-        strict = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-        fields: dict[str, Any] = {"root": (target, ...)}
-        _MODELS[target] = create_model(f"{target.__name__}File", __config__=strict, **fields)
-    return _MODELS[target]
-
-
-UNKNOWN_KEY = "unknown key"
-_MODELS: dict[type[Any], type[BaseModel]] = {}
-
-
-def _complaint(error: Mapping[str, Any]) -> Complaint | None:
-    kind, message, path = error["type"], str(error["msg"]), tuple(error["loc"][1:])
-    if kind in {"too_short", "too_long"} and isinstance(error["input"], list):
-        return _wrong_length(path, error["ctx"], len(error["input"]))
-    if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
-        return Complaint(path, UNKNOWN_KEY, at_key=True)
-    if kind in {"missing", "missing_argument"}:
-        return Complaint(path, "missing")
-    what = message.removeprefix("Input ").replace("an object", "a mapping")
-    return Complaint(path, what + _shown(error.get("input")))
-
-
-def _with_near_keys(complaint: Complaint, target: type[Any]) -> Complaint:
-    """Return a complaint of an unknown key with the known keys near it."""
-    if complaint.what != UNKNOWN_KEY:
-        return complaint
-    *path, key = complaint.path
-    near = near_names(str(key), _known_keys(target, path))
-    return replace(complaint, what=UNKNOWN_KEY + near)
-
-
-def _known_keys(target: type[Any], path: Iterable[str | int]) -> list[str]:
-    """Return the keys that a mapping at a path of the file may have."""
-    whole = _model(target).model_json_schema()
-    nodes = _options([whole["properties"]["root"]], whole["$defs"])
-    for part in path:
-        children = [child for node in nodes for child in _children(node, part)]
-        nodes = _options(children, whole["$defs"])
-    return [name for node in nodes for name in node.get("properties", {})]
-
-
-def _options(nodes: Iterable[Any], definitions: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Resolve references and alternatives of a JSON schema."""
-    options = []
-    for node in nodes:
-        if "$ref" in node:
-            options += _options([definitions[node["$ref"].rpartition("/")[2]]], definitions)
-        elif "anyOf" in node:
-            options += _options(node["anyOf"], definitions)
-        else:
-            options.append(node)
-    return options
-
-
-def _children(node: Mapping[str, Any], part: str | int) -> list[Any]:
-    if isinstance(part, int):
-        return [node["items"]] if "items" in node else []
-    child = node.get("properties", {}).get(part)
-    return [child] if child is not None else []
-
-
-def _wrong_length(path: Path, limits: Mapping[str, Any], given: int) -> Complaint | None:
-    """Return a complaint about the file's own count: pydantic does not count bad items."""
-    least, most = limits.get("min_length", 0), limits.get("max_length") or given
-    if least <= given <= most:
-        return None
-    bound = f"at least {least}" if given < least else f"at most {most}"
-    return Complaint(path, f"should have {bound} items, not {given}")
+    return json_schema.documented(target, title)
 
 
 def _shown(value: object) -> str:
-    if isinstance(value, (dict, list)):
+    """Return a value as the end of a message, empty for one that has parts."""
+    if value is MISSING or isinstance(value, (dict, list)):
         return ""
-    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False)
+    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False, default=repr)
     return f", not {text if len(text) <= 60 else text[:57] + '...'}"
 
 
@@ -357,6 +255,9 @@ class _Walk:
                 continue
             key = key_node.value
             here = (*path, key)
+            if not _is_unicode(key):
+                self._complain(path, NOT_UNICODE, _place(key_node))
+                continue
             if key in first:
                 what = f"given twice, first in line {first[key][0]}"
                 self._complain(here, what, _place(key_node))
@@ -365,6 +266,9 @@ class _Walk:
             yield key, self.value(value_node, here)
 
     def _scalar(self, text: str, path: Path, *, plain: bool) -> Any:
+        if not _is_unicode(text):
+            self._complain(path, NOT_UNICODE)
+            return None
         if not plain:
             return text
         try:
@@ -378,6 +282,16 @@ class _Walk:
 
 
 _TAGS = frozenset({"str", "map", "seq"})
+NOT_UNICODE = "an escape is half of a surrogate pair; write the character itself"
+
+
+def _is_unicode(text: str) -> bool:
+    """Return whether a text can be written to a file: an escape may be half of a character."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def _plain(text: str) -> Any:

@@ -7,6 +7,7 @@ Invariants:
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any, BinaryIO, Final
 
 from mcap.writer import CompressionType, Writer
@@ -41,6 +42,16 @@ _TOPIC_OF: Final = {
 }
 
 
+def _version() -> str:
+    try:
+        return version("linemate")
+    except PackageNotFoundError:
+        return ""
+
+
+_PROGRAM: Final = _version()
+
+
 class StepFile:
     """One MCAP file.
 
@@ -62,7 +73,7 @@ class StepFile:
         self._offset_ns = wall_offset_ns
         self._writer = Writer(stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD)
         self._writer.start(profile="", library="linemate")
-        self._writer.add_metadata(METADATA, dict(metadata))
+        self._writer.add_metadata(METADATA, {"program": _PROGRAM, **metadata})
         urdf = metadata.get("urdf", "")
         self._root = viewer_messages.root_link(urdf)
         if urdf:

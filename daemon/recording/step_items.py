@@ -8,7 +8,6 @@ Invariants:
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final
 
 import msgpack
@@ -24,18 +23,8 @@ STATE_NS: Final = 60_000_000_000  # between two states [ns], so that a replay ma
 
 
 def metadata_of(texts: Mapping[str, str]) -> dict[str, str]:
-    """Return the metadata of a recording: texts of the cell, version and field names."""
-    return {"program": _PROGRAM, **texts, LAYOUT: json.dumps(step_codec.LAYOUT)}
-
-
-def _version() -> str:
-    try:
-        return version("linemate")
-    except PackageNotFoundError:
-        return ""
-
-
-_PROGRAM: Final = _version()
+    """Return the metadata of a recording: texts of the cell, and field names."""
+    return {**texts, LAYOUT: json.dumps(step_codec.LAYOUT)}
 
 
 @dataclass(slots=True)

@@ -127,6 +127,8 @@ def test_bytes_that_are_no_utf_8_are_reported_with_their_place() -> None:
         ("- 1", "1:1", "should be a mapping"),
         ("a: !!python/object:os.system 1", "1:4", "tags are not understood"),
         ("? [1, 2]\n: 3", "1:1", "a key should be a text"),
+        ('colour: "\\uD800"', "1:9", "half of a surrogate pair"),
+        ('{"\\uDC00": 1}', "1:2", "half of a surrogate pair"),
     ],
 )
 def test_what_is_no_document_is_reported_and_never_raises_anything_else(

@@ -32,6 +32,17 @@ def test_a_good_configuration_is_called_good(
     assert [line.partition(":")[0] for line in peaks] == ["tcp", *AXES]
 
 
+def test_a_start_imports_no_library_that_it_does_not_need(tmp_path: Path) -> None:
+    path = written(tmp_path, "task: wheel.yaml\n")
+    code = (
+        "import sys; from linemate.daemon.service import app, main; "
+        f"code = main.main(['--config', {str(path)!r}, '--check']); "
+        "needless = {'pydantic', 'importlib.metadata', 'can', 'serialx', 'mcap', 'scipy.linalg'}; "
+        "sys.exit(str(needless & set(sys.modules)) if needless & set(sys.modules) else code)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
 def test_every_error_of_a_bad_one_is_reported_and_the_code_is_78(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

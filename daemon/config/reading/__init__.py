@@ -1,0 +1,1 @@
+"""Plain values to dataclasses, and the JSON schema of these."""
