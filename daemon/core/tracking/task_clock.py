@@ -179,16 +179,29 @@ def advance_clock(
         blended += T0
     elif time > 0.0 and state.transverse is not None:
         blended = 0.0
+    clock_stood, carried = _standing(tracker, state, stands=not retreat and time == state.time)
     screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
     releasing = time >= tool.release_wheel
     return replace(
         state,
         time=time,
+        clock_stood=clock_stood,
+        carried=carried,
         ramp=ramp,
         blended=blended,
         fixing=elapsed(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),
     )
+
+
+def _standing(tracker: Tracker, state: TrackerState, *, stands: bool) -> tuple[float, float]:
+    """Return for how long the clock has stood [s], and the tool's way while it stood before [m]."""
+    if stands:
+        return state.clock_stood + tracker.cycle_s, state.carried
+    if state.clock_stood <= 0.0:
+        return 0.0, state.carried
+    way = tracker.reference.way_on(state.time, np.array([state.clock_stood]))
+    return 0.0, state.carried + float(way[0])
 
 
 def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float | None:

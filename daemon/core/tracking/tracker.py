@@ -172,7 +172,7 @@ def track(
         state = comply(tracker, state, samples, view, wrench, part)
         target, part = _complied(tracker, state, target, part)
         target = bolt_search.turned(target, state.bolts, span)
-        if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+        if _is_blended(tracker, state):
             goal = sagging(state, target)
         elif state.blended is not None:
             share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
@@ -203,11 +203,35 @@ def _programmed_poses(
     times = programme_times(tracker, state)
     if times is None:
         goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
+        if not (retreat or _is_blended(tracker, state)):
+            goal = _going_on(tracker, state, goal, limit)
     else:
         goal, relative = tracker.table.between(times)
     if state.contact and not is_before_contact(tracker, state):
         return goal, _pressing_poses(tracker, state, relative)
     return goal, _waiting_poses(tracker, state, relative) if retreat else relative
+
+
+def _is_blended(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the goal is that of the sensed object alone."""
+    return state.blended is not None and state.blended >= tracker.settings.merge.blend
+
+
+def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) -> Array:
+    """Return the programmed tcp (m, 6) of a tool that comes to rest while its clock stands.
+
+    Args:
+        limit: task time at which the clock stops [s].
+    """
+    before = max(limit - state.time, 0.0)
+    if before >= tracker.span[-1] and not state.carried:
+        return goal
+    goal = goal.copy()
+    goal[:, merge.ALONG] += state.carried
+    if limit < math.inf:
+        stood = state.clock_stood + np.maximum(tracker.span - before, 0.0)
+        goal[:, merge.ALONG] += tracker.reference.way_on(limit, stood)
+    return goal
 
 
 def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:

@@ -153,6 +153,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
         blind_s: time since the last reading of the distance sensor [s].
         stood: time without a command, in which the robot stood still [s].
+        clock_stood: time for which the task's clock has stood at its gate [s].
+        carried: way of the programmed tool along the conveyor while the clock stood before [m].
         speed: of the conveyor, as it was last estimated [m/s].
         go: decision of go or no-go before contact.
         units: past positions of the conveyor unit, as the distance sensor sees it, with their times
@@ -215,6 +217,8 @@ class TrackerState(Struct, frozen=True, eq=False):
     pose_ns: int | None = None
     blind_s: float = 0.0
     stood: float = 0.0
+    clock_stood: float = 0.0
+    carried: float = 0.0
     speed: float = 0.0
     go: GoState = GO
     units: tuple[tuple[int, float], ...] = ()

@@ -14,6 +14,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.damping import CONTACT_SHARE, free_table
 from linemate.daemon.core.tracking.reference import (
+    STANDING_ACCELERATION,
     Reference,
     barrier,
     compile_reference,
@@ -104,6 +105,19 @@ def test_the_motion_has_no_corner_anywhere() -> None:
     travelling = fine > TASK.waypoints[1].time
     along = np.diff(poses[:, 1])[travelling[1:]] / 0.001
     assert np.allclose(along, SPEED, atol=1e-6)
+
+
+def test_a_tool_whose_clock_stands_comes_to_rest_without_a_corner() -> None:
+    fine, at = np.arange(-0.02, 1.0, 0.001), 2.796
+    poses, _ = REFERENCE.poses(at + np.minimum(fine, 0.0))
+    speed = np.diff(poses[:, 1] + REFERENCE.way_on(at, np.maximum(fine, 0.0))) / 0.001
+    assert speed[0] == pytest.approx(SPEED, rel=0.01)
+    assert speed[-1] == pytest.approx(0.0)
+    assert np.abs(np.diff(speed)).max() < 0.001 * 1.001 * STANDING_ACCELERATION
+
+
+def test_a_tool_that_does_not_travel_yet_stands_at_once() -> None:
+    assert not REFERENCE.way_on(0.0, np.array((0.0, 0.5, 9.0))).any()
 
 
 def test_before_and_after_its_ends_the_programme_stays_with_them() -> None:
