@@ -252,7 +252,6 @@ class App:
             if reason is not None:
                 log.error("not recording: %s", reason)
         if self._station.config.realtime.freeze_collector:
-            # The full collection takes some 50 ms, so it comes before the clock runs.
             self._collector.freeze()
         self._timer.open()
 

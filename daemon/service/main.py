@@ -73,7 +73,9 @@ def _serve(station: Any, parameters: Any, variants: Any, ready_fd: int | None) -
     for refusal in host.refusals():
         log.warning("%s", refusal)
     app = App(station, parameters, host, Notifier.from_environment(), variants)
-    gc.enable()
+    if not station.config.realtime.freeze_collector:
+        # Else it would go through all objects of the start, 60 ms, before it is disabled again.
+        gc.enable()
     try:
         asyncio.run(app.run(lambda listening: _report_ready(listening, ready_fd)))
     except StartError as error:

@@ -43,6 +43,30 @@ def test_a_start_imports_no_library_that_it_does_not_need(tmp_path: Path) -> Non
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+NO_GARBAGE = """
+import gc, sys
+from linemate.daemon.service import app, main
+collections, listening = [], app.App.listening
+
+def ready(self):
+    print(len(collections))
+    self.end()
+    return listening(self)
+
+app.App.listening = ready
+gc.disable()
+gc.callbacks.append(lambda phase, info: collections.append(info))
+sys.exit(main.main(["--config", sys.argv[1]]))
+"""
+
+
+def test_no_garbage_is_looked_for_before_ready(tmp_path: Path) -> None:
+    path = written(tmp_path, "task: wheel.yaml\nrsi: {port: 0}\n")
+    run = [sys.executable, "-c", NO_GARBAGE, str(path)]
+    counts = subprocess.run(run, check=True, stdout=subprocess.PIPE).stdout.split()
+    assert set(counts) == {b"0"}
+
+
 def test_every_error_of_a_bad_one_is_reported_and_the_code_is_78(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

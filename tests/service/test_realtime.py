@@ -191,9 +191,10 @@ def test_the_collector_runs_between_cycles_and_fully_only_at_rest() -> None:
         if phase == "start":
             collections.append(info["generation"])
 
-    collector.freeze()
     gc.callbacks.append(note)
     try:
+        collector.freeze()
+        assert not collections
         for _ in range(1000):
             collector.collect_if_due(is_moving=True)
         assert set(collections) == {1}
