@@ -38,6 +38,7 @@ _PARTS = {
     "tracking.classifier_rule:RuleState": "tracking.classifiers.classifier_rule:RuleState",
     "tracking.classifier_rule:Trial": "tracking.classifiers.classifier_rule:TentativeClass",
     "tracking.compliance:Compliance": "tracking.touch.compliance:Compliance",
+    "tracking.felt_drift:FeltDrift": "tracking.classifiers.felt_drift:FeltDrift",
     "tracking.force_jump:ForceOffset": "tracking.touch.force_jump:ForceOffset",
     "tracking.contact:Feeling": "tracking.touch.contact:ContactState",
     "tracking.conveyor:Motion": "tracking.conveyor:Motion",

@@ -24,9 +24,6 @@ from linemate.simulators.plants.scenario import Fault
 
 REGRESSIONS = Path(__file__).parent / "regressions.txt"
 FIT = Signals(link=Link.HEALTHY, position_fresh=True, wrench_fresh=True, ready=True)
-# The distance is 20 ms late as the conveyor stops in contact.
-OPEN_REGRESSIONS = {7135: ("force: 201 N, limit 200 (at 1.660 s)",)}
-"""What the plant's oracles find and that is not fixed yet, by the seed of its plan."""
 LOSSY = FaultPlan(1, faults=(Fault(0.3, "reply", "loss", 0.9, 0.3),))
 
 
@@ -48,9 +45,7 @@ def test_a_seed_runs_at_4_ms_without_a_violation(seed: int) -> None:
 @pytest.mark.row
 @pytest.mark.parametrize("line", regressions())
 def test_what_once_failed_does_not_fail_again(line: str) -> None:
-    plan = dst_plan.from_line(line)
-    # One that is open must not get worse, and leaves the list when it is mended.
-    assert dst_run.run(plan).violations == OPEN_REGRESSIONS.get(plan.seed, ())
+    assert dst_run.run(dst_plan.from_line(line)).violations == ()
 
 
 def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> None:

@@ -269,6 +269,39 @@ def test_the_guide_is_never_far_from_where_the_tool_feels_the_object() -> None:
     assert moved_by(-0.004) < guide.FARTHEST_FELT - 0.004
 
 
+def led_back(swing: float, grown: float) -> float:
+    """How much slower a guide becomes without a declared stop [m/s].
+
+    Args:
+        swing: of the deflection to both sides, before it grows to one [m].
+        grown: what it grows by, as an object that stops [m].
+    """
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    begun = float(state.guide.x[V])
+    for k in range(40):
+        way = float(BANK.predict_positions(state, np.array((DT,)))[0])
+        late = max((k - 16) / 23, 0.0)
+        off = swing * math.sin(math.tau * k / 16) if k < 16 else -grown * late * late
+        before = structs.replace(state, events=())
+        felt = PositionMeasurement(Source.TACTILE, way + off, 0.0, 3e-5**2, 20.0)
+        state = guide.advance(BANK, before, before, [felt], DT)
+    assert state.guide is not None
+    return begun - float(state.guide.x[V])
+
+
+def test_a_deflection_that_grows_to_one_side_slows_the_guide_before_a_stop_is_declared() -> None:
+    assert led_back(0.0, 0.003) > 0.005
+
+
+def test_a_deflection_that_stays_small_slows_no_guide() -> None:
+    assert abs(led_back(0.0, 0.0008)) < 0.001
+
+
+def test_a_body_that_has_swung_of_late_draws_no_guide() -> None:
+    assert abs(led_back(0.001, 0.003)) < 0.25 * led_back(0.0, 0.003)
+
+
 def stopped(sway: float, *, sways: bool) -> tuple[BankState, float]:
     """The guide as a stop is declared, and where the tool feels the object [m].
 

@@ -19,6 +19,7 @@ from msgspec import Struct
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
 from linemate.daemon.core.tracking.classifiers.onset_bank import (
     NO_POSTERIOR,
     AmplitudePrior,
@@ -68,6 +69,7 @@ class Guide(Struct, frozen=True, eq=False):
         sways: a sway leads that was known before the contact.
         waits: the null filter was widened, and has not led the guide since.
         missed: readings of the distance sensor beyond the guide's gate in a row.
+        felt: deflection from the guide.
     """
 
     x: Array
@@ -76,6 +78,7 @@ class Guide(Struct, frozen=True, eq=False):
     sways: bool = True
     waits: bool = False
     missed: int = 0
+    felt: FeltDrift = UNFELT
 
 
 class BankState(Struct, frozen=True, eq=False):

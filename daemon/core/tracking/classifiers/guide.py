@@ -11,6 +11,7 @@ Invariants:
 - It leads on when the force is lost or wrong: what that made of the null filter moves no target.
 - A null filter that was widened moves it only once that knows the speed again, and the distance
   sensor contradicts the guide too. A body that swings widens the null filter, which follows it.
+- A deflection that grows to one side, and would be too large before a decision acts, draws it.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
   was known before fades.
@@ -23,7 +24,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import bank_filter, sway_filter
+from linemate.daemon.core.tracking.classifiers import bank_filter, felt_drift, sway_filter
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
@@ -41,6 +42,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
+from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
 from linemate.daemon.core.tracking.conveyor import (
     Motion,
     PositionMeasurement,
@@ -85,10 +87,15 @@ def advance(
     waits = guide is not None and (guide.waits or state.age < before.age)
     is_wrong = guide is not None and guide.missed >= CONTRADICTED
     if guide is None or (waits and is_wrong and float(state.P[V, V]) < KNOWN**2):
-        return replace(state, guide=synchronised(state))
-    led, missed = _predicted(model, state, guide, dt), guide.missed
+        felt = UNFELT if guide is None else felt_drift.moved(guide.felt)
+        return replace(state, guide=replace(synchronised(state), felt=felt))
+    led, missed, felt = _predicted(model, state, guide, dt), guide.missed, guide.felt
     for measurement in measurements:
         corrected = _corrected(model, led, measurement)
+        if measurement.source is Source.TACTILE:
+            off = _deflection(model, corrected, measurement)
+            felt = felt_drift.observed(felt, off, before.felt_s + dt)
+            corrected, felt = _drawn(corrected, felt)
         if measurement.source is Source.DISTANCE:
             missed = missed + 1 if corrected is led else 0
         led = corrected
@@ -96,8 +103,10 @@ def advance(
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
     if state.motion is not before.motion:
         led = _in_class(model, state, led, measurements, sways=sways)
+        felt = felt_drift.moved(felt)
     led = led if sways else _fading(led, led_sway, dt)
-    return replace(state, guide=Guide(led.x, led.P, led.ripple_factor, sways, waits, missed))
+    guide = Guide(led.x, led.P, led.ripple_factor, sways, waits, missed, felt)
+    return replace(state, guide=guide)
 
 
 def led_state(state: BankState) -> BankState:
@@ -162,6 +171,26 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
 
 
+def _deflection(model: BankModel, led: BankState, measurement: PositionMeasurement) -> float:
+    """Return how far the tool measures the object from the guide [m], without the offset's part."""
+    row = model.observation_row(measurement, led)
+    return measurement.value - measurement.complied - float(row.dot(led.x))
+
+
+def _drawn(led: BankState, felt: FeltDrift) -> tuple[BankState, FeltDrift]:
+    """Return the guide drawn after an object that drifts away, and the deflection that is left."""
+    share = felt_drift.share_taken(felt)
+    if not share or felt.off is None:
+        return led, felt
+    way, speed = share * felt.off, share * felt.speed
+    x, P = led.x.copy(), led.P.copy()
+    x[Y] += way
+    x[OFFSET] -= way
+    x[V] += speed
+    P[V, V] += speed * speed
+    return replace(led, x=x, P=P), felt_drift.taken(felt, share)
+
+
 def _fading(led: BankState, sway: Array, dt: float) -> BankState:
     """Return the guide with the sway that it led so far: that fades, and nothing excites it.
 
@@ -206,8 +235,7 @@ def _held(
     felt = [each for each in measurements if each.source is Source.TACTILE]
     if not felt:
         return led
-    value = felt[-1].value - felt[-1].complied
-    off = value - float(model.observation_row(felt[-1], led).dot(led.x))
+    off = _deflection(model, led, felt[-1])
     off = min(max(off, -FARTHEST_HELD), FARTHEST_HELD)
     x = led.x.copy()
     x[Y] += off
