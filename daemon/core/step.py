@@ -252,14 +252,14 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
     """
     wound = _wound(parameters, state.windup, inputs.robot)
     samples = _samples(inputs, parameters, wound)
-    if inputs.order is MotionOrder.HOLD:
+    retreat = inputs.order is MotionOrder.RETREAT
+    if inputs.order is MotionOrder.HOLD or (retreat and _brakes(state)):
         observed = tracking.observe(parameters.tracker, state.tracker, samples)
         return StepPlan(*observed, windup=wound)
     if inputs.order is MotionOrder.HOME:
         return _plan_home(state, samples, parameters, wound)
     if inputs.order is MotionOrder.FOLLOW:
         return _plan_follow(state, inputs, samples, parameters, wound)
-    retreat = inputs.order is MotionOrder.RETREAT
     tracker, horizon, report = tracking.track(
         parameters.tracker, state.tracker, samples, start=inputs.start, retreat=retreat
     )
@@ -433,6 +433,16 @@ def _brake(
         braked = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
     tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
     return StepState(tracker, braked, state.applied, moving=not is_standing, windup=wound)
+
+
+def _brakes(state: StepState) -> bool:
+    """Return whether a free tool brakes on hold: its retreat begins at rest.
+
+    A plan at rest under a robot that moves turned it back and forth at its limits.
+    """
+    tracker = state.tracker
+    is_engaged = tracker.contact or tracker.clamped or tracker.started
+    return state.moving and not is_engaged and tracker.anchor is None
 
 
 def _samples(

@@ -457,6 +457,22 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     assert np.isfinite(commands).all()
 
 
+def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:
+    world = tracking(2.4)
+    world.run(0.06, MotionOrder.HOLD)
+    speeds = [np.abs(world.state.control.limiter.speed).max()]
+    assert world.state.moving
+    while world.state.tracker.anchor is None:
+        world.step(MotionOrder.RETREAT)
+        speeds.append(np.abs(world.state.control.limiter.speed).max())
+    *braking, _ = speeds
+    assert (np.diff(braking) <= 1e-9).all()
+    assert braking[-1] == 0.0
+    world.run(1.2, MotionOrder.RETREAT)
+    assert world.outputs is not None
+    assert world.outputs.finished
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
 def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:
