@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from linemate.daemon.commissioning.kept_rehearsals import KeptRehearsals
 from linemate.daemon.commissioning.rehearsal import Peak, rehearse
 from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
@@ -23,32 +24,38 @@ class CheckedConfig:
 
     Attributes:
         parameters: of the configured task.
-        peaks: of that task: largest speeds, and margins to the limits.
+        peaks: of that task: largest speeds, and margins to the limits; empty if not rehearsed.
         variants: parameters of the production's variants, by name.
+        kept: rehearsals that need not be repeated.
     """
 
     station: LoadedConfig
     parameters: Parameters
     peaks: tuple[Peak, ...]
     variants: dict[str, Parameters]
+    kept: KeptRehearsals
 
 
-def check(path: Path, overlays: Sequence[Path] = ()) -> CheckedConfig:
+def check(path: Path, overlays: Sequence[Path] = (), *, keeps: bool = False) -> CheckedConfig:
     """Check a configuration file and everything that it names.
 
     Args:
         overlays: laid over those that it names, as if it named them last.
+        keeps: leave out rehearsals that the state directory knows as good.
 
     Raises:
         FileError: what is wrong.
     """
     station = config.load(path, overlays)
+    kept = KeptRehearsals(station.state if keeps else None)
     compiled = compile_task(station, station.task)
-    peaks = rehearsed(station.task, compiled)
+    is_known = kept.is_known(station, station.task)
+    peaks = () if is_known else rehearsed(station.task, compiled)
     variants = {name: compile_task(station, task) for name, task in station.variants.items()}
     for name, task in station.variants.items():
-        rehearsed(task, variants[name])
-    return CheckedConfig(station, compiled, peaks, variants)
+        if not kept.is_known(station, task):
+            rehearsed(task, variants[name])
+    return CheckedConfig(station, compiled, peaks, variants, kept)
 
 
 def compile_task(station: LoadedConfig, task: Task) -> Parameters:

@@ -357,7 +357,8 @@ class Config:
         task: task file; a bare name may be a shipped one.
         overlays: files of parameters for tracking, control and watch, in this order, such as
             ``linemate identify`` writes. What operators saved comes last.
-        state: directory for what operators save. None takes StateDirectory= of the unit.
+        state: directory for what operators save, and for the digests of tasks whose rehearsal was
+            good: the next start leaves it out. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
             robot stands. None keeps the models.
         learn_touches: correct ``tracking.camera.felt`` and ``felt_turn`` by where good assemblies

@@ -13,10 +13,14 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from linemate.daemon import command_line
 from linemate.daemon.command_line import CommandLine, Version
+
+if TYPE_CHECKING:
+    from linemate.daemon.commissioning.kept_rehearsals import KeptRehearsals
+    from linemate.daemon.commissioning.whole_check import CheckedConfig
 
 # Before numpy is imported: a second BLAS thread is slower for small matrices, and wakes a core.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -54,25 +58,41 @@ def _main(arguments: argparse.Namespace) -> int:
     from linemate.daemon.commissioning import whole_check
 
     try:
-        checked = whole_check.check(arguments.config)
+        checked = whole_check.check(arguments.config, keeps=not arguments.check)
     except FileError as error:
         print("\n".join(error.lines), file=sys.stderr)
         return BAD_CONFIGURATION
     if arguments.check:
         print(f"{arguments.config}: good", *checked.peaks, sep="\n")
         return OK
-    return _serve(checked.station, checked.parameters, checked.variants, arguments.ready_fd)
+    _keep_rehearsals(checked.kept)
+    return _serve(checked, arguments.ready_fd)
 
 
-def _serve(station: Any, parameters: Any, variants: Any, ready_fd: int | None) -> int:
+def _keep_rehearsals(kept: "KeptRehearsals") -> None:
+    """Keep good rehearsals for the next start, and log what was left out."""
+    if kept.left_out:
+        log.info("not rehearsed again, the same was good before: %s", ", ".join(kept.left_out))
+    if kept.trouble:
+        log.warning("kept rehearsals are not used: %s", kept.trouble)
+    try:
+        kept.keep()
+    except OSError as error:
+        log.warning("rehearsals are not kept: %s", error)
+
+
+def _serve(checked: "CheckedConfig", ready_fd: int | None) -> int:
     from linemate.daemon.service.app import App, StartError
     from linemate.daemon.service.host import realtime
     from linemate.daemon.service.host.notify import Notifier
 
+    station = checked.station
     host = realtime.request_all(station.config.realtime)
     for refusal in host.refusals():
         log.warning("%s", refusal)
-    app = App(station, parameters, host, Notifier.from_environment(), variants)
+    notifier = Notifier.from_environment()
+    app = App(station, checked.parameters, host, notifier, checked.variants)
+    app.counters["unusable_rehearsals"] += checked.kept.unusable
     if not station.config.realtime.freeze_collector:
         # Else it would go through all objects of the start, 60 ms, before it is disabled again.
         gc.enable()

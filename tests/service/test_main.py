@@ -67,6 +67,15 @@ def test_no_garbage_is_looked_for_before_ready(tmp_path: Path) -> None:
     assert set(counts) == {b"0"}
 
 
+def test_a_start_says_which_tasks_it_did_not_rehearse_again(tmp_path: Path) -> None:
+    path = written(tmp_path, "task: wheel.yaml\nrsi: {port: 0}\nstate: .\n")
+    run = [sys.executable, "-c", NO_GARBAGE, str(path)]
+    first, second = (subprocess.run(run, check=True, capture_output=True).stderr for _ in range(2))
+    line = b"not rehearsed again, the same was good before: wheel"
+    assert line not in first
+    assert line in second
+
+
 def test_every_error_of_a_bad_one_is_reported_and_the_code_is_78(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
