@@ -86,6 +86,11 @@ class ConveyorEstimate(Struct, frozen=True):
     sway: float = 0.0
     unknown_sway: float = 0.0
 
+    @property
+    def unit(self) -> float:
+        """Position of the conveyor unit, as the distance sensor sees it [m]."""
+        return self.position - self.sway + self.offset
+
 
 def has_changed_class(events: tuple[tuple[str, str], ...]) -> bool:
     """Return whether a stop or a start was confirmed, or taken back."""

@@ -74,7 +74,7 @@ def estimate(
     if transverse is not None:
         seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
         transverse = tracker.transverse.predict(
-            transverse, tracker.cycle_s, seating=seating, speed=state.speed
+            transverse, tracker.cycle_s, seating=seating, speed=state.speed, unit=state.unit
         )
     state = _announced(tracker, state, samples)
     raw = mean_wrench(samples.wrench)
@@ -90,8 +90,7 @@ def estimate(
         distance_measurement(tracker, samples.stamp_ns, *block)
         for block in mean_distances(samples.distance)
     ]
-    rejected = 0
-    waiting, pose_ns = state.first_poses, state.pose_ns
+    rejected, waiting, pose_ns = 0, state.first_poses, state.pose_ns
     oscillation = compliance.uncertainty(state.compliance, tracker.compliance)
     for source, measured, gate in first_poses:
         if transverse is None:
@@ -111,7 +110,8 @@ def estimate(
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
         row = _along_measurement(tracker, transverse, source, measured, gate)
         rows.append(row if source is Source.CAMERA else _felt_row(state, row, oscillation))
-    transverse = _correct_held(tracker, state, transverse, history, samples, wrench, rows)
+    seen = transverse
+    transverse = _correct_held(tracker, state, seen, history, samples, wrench, rows)
     conveyor, readings = state.conveyor, state.readings
     if conveyor is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
@@ -136,6 +136,8 @@ def estimate(
         pose_ns=pose_ns,
         blind_s=0.0 if samples.distance else state.blind_s + tracker.cycle_s,
         speed=0.0 if view is None else view.speed,
+        unit=None if view is None else view.unit,
+        held=_held(tracker, state, seen, transverse),
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
@@ -572,6 +574,24 @@ def _correct_held(
     if is_accepted:
         rows.append(_along_measurement(tracker, transverse, Source.CAMERA, held, HELD_GATE))
     return transverse
+
+
+def _held(
+    tracker: Tracker,
+    state: TrackerState,
+    before: TransverseState | None,
+    after: TransverseState | None,
+) -> tuple[float, float]:
+    """Return by what bolts in their holes have moved the estimate of x and z [m].
+
+    Args:
+        before, after: the estimate without and with what they show in this step.
+    """
+    if after is not before and before is not None and after is not None:
+        x, z = (after.x - before.x)[:2].tolist()
+        return state.held[0] + x, state.held[1] + z
+    is_near = state.contact or held_bolts.is_entered(tracker.settings.payload, state.distance)
+    return state.held if is_near else (0.0, 0.0)
 
 
 def _pose_measurements(

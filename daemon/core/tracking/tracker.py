@@ -355,7 +355,13 @@ def observe(
         along = tracker.classifier.predict_positions(state.conveyor, times)
         rows = np.concatenate((relative, np.zeros((len(tracker.leads), 6))))
         target, part = _sensed_poses(
-            tracker, state.transverse, samples.stamp_ns, along, times, rows
+            tracker,
+            state.transverse,
+            samples.stamp_ns,
+            along,
+            times,
+            rows,
+            _added_way(tracker, state, view, along, times),
         )
         if _is_prediction_due(tracker, state, view, samples.stamp_ns):
             state = _kept_prediction(tracker, state, view, samples.stamp_ns, target[1:], along[1:])
@@ -478,10 +484,14 @@ def _predict_object(
     assert transverse is not None  # noqa: S101 - the caller has checked
     count, leads = len(ahead), len(tracker.leads)
     steady = along[:count]
+    added = _added_way(tracker, state, view, along, tracker.ahead)
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
     if not _is_prediction_due(tracker, state, view, now_ns):
-        return state, *_sensed_poses(tracker, transverse, now_ns, steady, ahead, relative)
+        poses, part = _sensed_poses(
+            tracker, transverse, now_ns, steady, ahead, relative, added[:count]
+        )
+        return state, poses, part
     later, times = along[-leads:], tracker.ahead[-leads:]
     poses, part = _sensed_poses(
         tracker,
@@ -490,9 +500,33 @@ def _predict_object(
         np.concatenate((steady, later)),
         np.concatenate((ahead, times)),
         np.concatenate((relative, np.zeros((leads, 6)))),
+        np.concatenate((added[:count], added[-leads:])),
     )
     state = _kept_prediction(tracker, state, view, now_ns, poses[count:], later)
     return state, poses[:count], part
+
+
+def _added_way(
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    along: Array,
+    times: Array,
+) -> Array:
+    """Return what a change of speed adds to the conveyor's way (m,) [m].
+
+    Zeros in contact, where the tool holds the object, and where nothing across depends on it.
+
+    Args:
+        along: (m,) predicted positions of the object along the conveyor [m].
+        times: (m,) from now [s].
+    """
+    if view is None or state.contact or not tracker.transverse.is_driven:
+        return np.zeros(len(along))
+    sway = tracker.classifier.predict_sway(state.conveyor, times)
+    steady = view.position - view.sway + view.speed * times
+    added: Array = along - sway - steady
+    return added
 
 
 def _ease(
@@ -518,6 +552,7 @@ def _sensed_poses(
     along: Array,
     ahead: Array,
     relative: Array,
+    added: Array,
 ) -> tuple[Array, Array]:
     """Return x_f at some times (m, 6), (9) under the class, and the object now (6,).
 
@@ -525,6 +560,7 @@ def _sensed_poses(
         along: (m,) predicted positions along the conveyor [m].
         ahead: (m,) the times from now [s], of which the first is 0.
         relative: (m, 6) the programmed tcp in the object.
+        added: (m,) what a change of the conveyor's speed adds to its way [m].
     """
     if tracker.foresight is not None:
         positions, vectors = tracker.foresight(stamp_ns, ahead)
@@ -536,7 +572,8 @@ def _sensed_poses(
         z=float(estimate.x[1]),
         along=along,
         rotation=estimate.rotation,
-        swing=filtered.swing_angles(estimate, ahead),
+        swing=filtered.swing_angles(estimate, ahead)
+        + filtered.driven_angles(estimate, ahead, added),
         slopes=filtered.slopes(estimate),
     )
     return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)

@@ -156,6 +156,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         clock_stood: time for which the task's clock has stood at its gate [s].
         carried: way of the programmed tool along the conveyor while the clock stood before [m].
         speed: of the conveyor, as it was last estimated [m/s].
+        unit: position of the conveyor unit then [m], None before.
+        held: by what bolts in their holes have moved the estimate of x and z [m].
         go: decision of go or no-go before contact.
         units: past positions of the conveyor unit, as the distance sensor sees it, with their times
             [ns, m].
@@ -220,6 +222,8 @@ class TrackerState(Struct, frozen=True, eq=False):
     clock_stood: float = 0.0
     carried: float = 0.0
     speed: float = 0.0
+    unit: float | None = None
+    held: tuple[float, float] = (0.0, 0.0)
     go: GoState = GO
     units: tuple[tuple[int, float], ...] = ()
     monitor: PredictionMonitor = NO_PREDICTIONS

@@ -35,6 +35,7 @@ ALONG_WALK = 0.0002  # random walk of that offset [m/sqrt(s)]
 ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
 ALONG_LEAK = 0.1  # share of a rejected innovation by which that offset becomes less certain
 ALONG_GATE = 4.0  # reject an innovation along the conveyor beyond this many sigma
+LARGEST_LATE = 0.005  # way of the conveyor that its filter may take back in a step [m]
 SPEED_SPAN_S = 0.02  # over which the object's speed is taken [s]
 NONE_ODDS = 4.0  # prior odds that an error of the camera or the conveyor's direction is not there
 LASTING = 20.0  # images over which an unknown error of the camera stays the same
@@ -60,6 +61,7 @@ class TransverseState(Struct, frozen=True, eq=False):
         frequency_factors: each swing's frequency over the identified one.
         nis: average normalised innovation squared of the camera's poses.
         speed: of the conveyor in the last step [m/s].
+        unit: position of the conveyor unit in the last step [m], None before.
         shrinkage: (n,) what ``believed`` adds to x: it takes back errors that may not be there.
         errors: (4, 4) covariance of the camera's errors with that shrinkage.
     """
@@ -71,6 +73,7 @@ class TransverseState(Struct, frozen=True, eq=False):
     frequency_factors: tuple[float, ...] = ()
     nis: float = 1.0
     speed: float = 0.0
+    unit: float | None = None
     shrinkage: Array | None = None
     errors: Array | None = None
 
@@ -206,7 +209,13 @@ class Transverse:
         return x, z
 
     def predict(
-        self, state: TransverseState, dt: float, *, seating: bool = False, speed: float = 0.0
+        self,
+        state: TransverseState,
+        dt: float,
+        *,
+        seating: bool = False,
+        speed: float = 0.0,
+        unit: float | None = None,
     ) -> TransverseState:
         """Return (5), (6).
 
@@ -215,22 +224,25 @@ class Transverse:
 
         Args:
             speed: of the conveyor since the last step [m/s].
+            unit: position of the conveyor unit at its begin [m], None if it is not known.
         """
         F, Q = self._matrices(dt, seating)
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
+        late = _late_way(state, dt, unit)
         for swing, factor in self._with_factors(state):
             # A speed of 0 is one that is not known yet, or was not: no stop or start is in it.
             if swing.g >= 0 and state.speed:
                 # A change of speed within a step is a blow: it moves the quadrature by the speed
                 # that it leaves over the frequency. One that only becomes known is in the prior.
                 left = (speed - state.speed) / (swing.mode.lever * swing.omega * factor)
-                F[swing.i, swing.g] = F[swing.i, swing.i + 1] * -left
-                F[swing.i + 1, swing.g] = F[swing.i + 1, swing.i + 1] * -left
+                blow = np.array((late / swing.mode.lever, left))
+                both = slice(swing.i, swing.i + 2)
+                F[both, swing.g] = -F[both, both].dot(blow)
         P = F.dot(state.P).dot(F.T)
         P += Q
         shrinkage = None if state.shrinkage is None else F.dot(state.shrinkage)
-        return replace(state, x=F.dot(state.x), P=P, speed=speed, shrinkage=shrinkage)
+        return replace(state, x=F.dot(state.x), P=P, speed=speed, unit=unit, shrinkage=shrinkage)
 
     def _set_frequencies(self, F: Array, state: TransverseState, dt: float) -> Array:
         """Return a copy of A with each swing at its frequency, linearised in that one's error."""
@@ -514,6 +526,27 @@ class Transverse:
             angles[m] = (complex(values[swing.i], -values[swing.i + 1]) * turning).real
         return angles
 
+    @cached_property
+    def is_driven(self) -> bool:
+        """Whether stops and starts excite a swing."""
+        return any(mode.gain > 0.0 for mode in self.swing)
+
+    def driven_angles(self, state: TransverseState, times: Array, added: Array) -> Array:
+        """Return what a change of speed that is predicted adds to the angles (modes, m) [rad].
+
+        A body that is left behind by a steady acceleration moves by g a (1 - cos wt) / w^2.
+
+        Args:
+            times: (m,) from now [s].
+            added: (m,) way that the change adds to that of the conveyor's steady motion [m].
+        """
+        angles = np.zeros((len(self.swing), len(times)))
+        for m, (swing, factor) in enumerate(self._with_factors(state)):
+            if swing.g >= 0:
+                share = np.sinc(swing.omega * factor / (2.0 * math.pi) * times) ** 2
+                angles[m] = -float(state.x[swing.g]) / swing.mode.lever * share * added
+        return angles
+
     def swing_now(self, state: TransverseState, delay: float) -> tuple[float, ...]:
         """Return the swing angles [rad] ``delay`` s ago."""
         angles, values = [], state.x.tolist()
@@ -524,6 +557,18 @@ class Transverse:
             grown = math.exp(swing.mode.damping * w * delay)
             angles.append(grown * (c * math.cos(phase) - s * math.sin(phase)))
         return tuple(angles)
+
+
+def _late_way(state: TransverseState, dt: float, unit: float | None) -> float:
+    """Return the way [m] that the conveyor has made beyond that of its speed.
+
+    A stop is known late: until then the conveyor has lost way, and the body on it has not.
+    """
+    if unit is None or state.unit is None:
+        return 0.0
+    late = unit - state.unit - state.speed * dt
+    # The sensor has jumped, not the conveyor.
+    return late if abs(late) < LARGEST_LATE else 0.0
 
 
 # A step reads an estimate up to four times, the next step once more.

@@ -717,3 +717,46 @@ def test_a_mode_with_a_long_lever_walks_as_far_at_the_object_as_one_of_a_metre()
     later = own.predict(state, T0)
     grown = float(later.P[STATIC, STATIC]) * SHIFT.lever**2
     assert grown == pytest.approx(transverse.SWING_DEVIATION**2, rel=0.01)
+
+
+def way_at(t: float) -> float:
+    """Way of the conveyor [m]; it still moves at the end."""
+    return SPEED * t - 0.5 * DECELERATION * max(t - STOPS_S, 0.0) ** 2
+
+
+@pytest.mark.parametrize(("tells_way", "largest"), [(True, 0.1e-3), (False, 0.5e-3)])
+def test_a_stop_that_is_known_late_moves_the_object_as_if_it_were_known(
+    tells_way: bool, largest: float
+) -> None:
+    own = Transverse(FusionSettings(), (SHIFT,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    for k in range(1, round(END_S / T0) + 1):
+        before = (k - 1) * T0
+        is_known = not STOPS_S < before < STOPS_S + 0.17
+        unit = way_at(before) if is_known else SPEED * before
+        speed = speed_at(before) if is_known else SPEED
+        state = own.predict(state, T0, speed=speed, unit=unit if tells_way else None)
+    z = float(own.observation_rows(state, 0.0)[1] @ state.x)
+    error = z - PLACE[2] - shifted(SHIFT.gain)[-1]
+    assert 0.6 * largest * (not tells_way) < abs(error) < largest
+
+
+def test_a_sensor_that_jumps_does_not_move_the_object() -> None:
+    own = Transverse(FusionSettings(), (SHIFT,))
+    state = structs.replace(
+        own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5), speed=SPEED, unit=0.0
+    )
+    later = own.predict(state, T0, speed=SPEED, unit=0.02)
+    assert later.x == pytest.approx(state.x, abs=1e-12)
+    assert later.unit == 0.02
+
+
+def test_a_ramp_that_is_predicted_moves_the_object_in_the_prediction() -> None:
+    own = Transverse(FusionSettings(), (SHIFT,))
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    times, true = np.array((0.0, 0.1, 0.2, 0.3)), shifted(SHIFT.gain)
+    angles = own.driven_angles(state, times, -0.5 * DECELERATION * times**2)
+    true = np.interp(STOPS_S + times, np.arange(len(true)) * T0, true)
+    assert angles[0] * SHIFT.lever == pytest.approx(true, abs=0.03e-3)
+    assert own.is_driven
+    assert not Transverse(FusionSettings(), (replace(SHIFT, gain=0.0),)).is_driven
