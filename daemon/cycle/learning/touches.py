@@ -1,10 +1,11 @@
 """Learning over assemblies: where the object is felt beyond where the camera shows it.
 
 A hand-eye calibration has an error that no sensor sees before the touch. A clamped tool measures
-the object, and the camera's place of it is known from just before. Their difference across the
-tool's axis, and about the axes across it, is what the next assembly is corrected by
-(``tracking.camera.felt``, ``tracking.camera.felt_turn``). The depth changes from car to car, and
-bolts are drawn into their angle: neither shows the camera's mount.
+the object, and the camera's place of it is known from just before, and from before bolts in their
+holes have moved the estimate. Their difference across the tool's axis, and about the axes across
+it, is what the next assembly is corrected by (``tracking.camera.felt``,
+``tracking.camera.felt_turn``). The depth changes from car to car, and bolts are drawn into their
+angle: neither shows the camera's mount.
 
 Invariants:
 - A touch counts if its assembly was good: screws fixed, then the wheel released, no retreat.
@@ -42,6 +43,8 @@ WORTH = 1e-5  # a smaller change is not made: each is recorded [m, rad]
 PLACE_S = 0.2  # after which a tool that rang has settled, and a heavy object has hardly moved [s]
 SEATED_S = 1.0  # after which the estimate has taken the turn of a clamped tool [s]
 
+UNHELD = (0.0, 0.0)
+
 Pair = tuple[float, float]
 
 
@@ -68,6 +71,7 @@ class TouchLearner:
         self.touch: FeltError | None = None
         self._across: Pair | None = None
         self._expected: TrackerState | None = None
+        self._drawn = 0.0
         self._felt: FeltError | None = None
         self._is_over = False
         self._count = 0
@@ -88,12 +92,17 @@ class TouchLearner:
 
     def _measure(self, before: TrackerState, after: TrackerState) -> None:
         """Look at one step: of a settled tool for the place, of a seated one for the turn."""
+        # Bolts in their holes have shown a part before the face touches.
+        if after.held == UNHELD:
+            self._drawn = 0.0
+        elif after.held != before.held:
+            self._drawn += moved_along(before, after)
         if after.compliance.press is not None and before.compliance.press is None:
             self._expected, self._across, self._felt, self._is_over = before, None, None, False
         if self._expected is None or after.touching < PLACE_S:
             return
         if self._across is None:
-            self._across = felt_across(self._expected, after)
+            self._across = felt_across(self._expected, after, self._drawn)
         if after.touching < SEATED_S:
             return
         turn = felt_turn(self._expected, after)
@@ -129,24 +138,33 @@ def is_far(touch: FeltError) -> bool:
     return math.hypot(*touch.across) > LARGEST_M or math.hypot(*touch.turn) > LARGEST_RAD
 
 
-def felt_across(before: TrackerState, after: TrackerState) -> Pair | None:
+def moved_along(before: TrackerState, after: TrackerState) -> float:
+    """Return how far the object has moved on its conveyor by the estimates [m].
+
+    The offset of the distance sensor falls by as much.
+    """
+    if isinstance(before.conveyor, BankState) and isinstance(after.conveyor, BankState):
+        return -float(after.conveyor.x[OFFSET] - before.conveyor.x[OFFSET])
+    return 0.0
+
+
+def felt_across(before: TrackerState, after: TrackerState, drawn: float = 0.0) -> Pair | None:
     """Return how far the object is felt from where it was estimated, across the tool's axis [m].
 
     Args:
         before: state of the last step without a force that measures the object.
         after: of a settled tool. The estimate and the offset of the compliance have taken a part
             of the way already; what is left is in the mean deviation.
+        drawn: what bolts in their holes have moved the estimate by before, along [m].
     """
     earlier, later = before.transverse, after.transverse
     if after.history is None or earlier is None or later is None:
         return None
     offset, rest = after.compliance.offset, after.compliance.smooth
     x, y, z = (taken + left for taken, left in zip(offset, rest, strict=True))
-    x += float(later.x[0] - earlier.x[0])
-    z += float(later.x[1] - earlier.x[1])
-    if isinstance(before.conveyor, BankState) and isinstance(after.conveyor, BankState):
-        # The offset of the distance sensor falls by what the object has moved on its conveyor.
-        y -= float(after.conveyor.x[OFFSET] - before.conveyor.x[OFFSET])
+    x += float(later.x[0] - earlier.x[0]) + before.held[0]
+    y += moved_along(before, after) + drawn
+    z += float(later.x[1] - earlier.x[1]) + before.held[1]
     return _across_tool(after.history, np.array((x, y, z)))
 
 

@@ -9,6 +9,7 @@ from msgspec import structs
 from linemate.daemon.core import parameters, rotations
 from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.core.tracking.task import Gate
+from linemate.daemon.core.tracking.tracker_state import TrackerState
 from linemate.daemon.cycle.learning.touches import (
     FELT,
     FELT_TURN,
@@ -48,6 +49,28 @@ def test_a_wheel_shows_where_the_camera_is() -> None:
     assert touch is not None
     assert touch.across == pytest.approx(MOUNT, abs=0.1e-3)
     assert touch.turn == pytest.approx((0.0, 0.0), abs=0.3e-3)
+
+
+def test_what_bolts_in_their_holes_have_shown_before_the_touch_is_a_part_of_it() -> None:
+    shown = (0.2e-3, 0.0)
+
+    def held(state: TrackerState) -> TrackerState:
+        return structs.replace(state, held=shown) if state.distance > -0.02 else state
+
+    def drawn(entry: LogEntry) -> LogEntry:
+        before, after = entry.before, entry.after
+        if before is None or after is None:
+            return entry
+        before = structs.replace(before, tracker=held(before.tracker))
+        return structs.replace(
+            entry, before=before, after=structs.replace(after, tracker=held(after.tracker))
+        )
+
+    whole, plain = touch_of(tuple(map(drawn, wheel()))), touch_of(wheel())
+    assert whole is not None
+    assert plain is not None
+    assert whole.across[0] - plain.across[0] == pytest.approx(shown[0], abs=0.03e-3)
+    assert whole.across[1] - plain.across[1] == pytest.approx(0.0, abs=0.1e-3)
 
 
 def test_a_wheel_shows_how_the_camera_is_turned() -> None:
