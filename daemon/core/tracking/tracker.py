@@ -273,11 +273,16 @@ def _searching_bolts(tracker: Tracker, state: TrackerState, wrench: Wrench | Non
         jams = bolt_search.is_jammed(*where, mount.overload_force)
         presses = bolt_search.is_pressed(*where, mount.contact_force)
         bolts = bolt_search.pressing(bolts, tracker.cycle_s, presses=presses)
-    is_back = state.time <= tracker.sight_time
+    is_clear = bolt_search.is_clear(payload.bolts, state.distance)
     bolts = bolt_search.advanced(
-        bolts, payload.bolt_angle, tracker.cycle_s, jams=jams, is_back=is_back
+        bolts, payload.bolt_angle, tracker.cycle_s, jams=jams, is_clear=is_clear
     )
-    return state if bolts is state.bolts else replace(state, bolts=bolts)
+    if bolts is state.bolts:
+        return state
+    transverse = state.transverse
+    if transverse is not None and bolts.is_jammed and not state.bolts.is_jammed:
+        transverse = tracker.transverse.pushed(transverse)
+    return replace(state, bolts=bolts, transverse=transverse)
 
 
 def _advance_search(tracker: Tracker, state: TrackerState) -> guard.ContactSearch:

@@ -301,6 +301,15 @@ class Transverse:
         P[Z, Z] += deviation**2
         return replace(state, P=P)
 
+    def pushed(self, state: TransverseState) -> TransverseState:
+        """Return the estimate of an object that was pushed: how its carrier sways is not known."""
+        P = state.P.copy()
+        for swing in self._swings:
+            if swing.g >= 0:
+                both = (swing.i, swing.i + 1)
+                P[both, both] += (SWING_DEVIATION / swing.mode.lever) ** 2
+        return replace(state, P=P)
+
     def observation_rows(self, state: TransverseState, delay: float) -> Array:
         """Return the rows (5, n) of (8) for x, z and the three turns, ``delay`` s ago."""
         H, values = self._still.copy(), state.x.tolist()

@@ -35,6 +35,11 @@ def test_a_force_along_the_axis_alone_at_the_tips_is_a_jam(
     assert not bolt_search.is_jammed(force, 0.0, distance, OVERLOAD)
 
 
+@pytest.mark.parametrize(("distance", "clear"), [(-0.029, False), (-0.031, True)])
+def test_the_tips_are_clear_of_the_object_beyond_their_length(distance: float, clear: bool) -> None:
+    assert bolt_search.is_clear(LENGTH, distance) is clear
+
+
 @pytest.mark.parametrize(
     ("force", "distance", "presses"),
     [
@@ -55,7 +60,7 @@ def pressed(seconds: float) -> BoltSearch:
     search = NO_BOLT_SEARCH
     for _ in range(round(seconds / DT)):
         search = bolt_search.pressing(search, DT, presses=True)
-        search = bolt_search.advanced(search, SPREAD, DT, jams=False, is_back=False)
+        search = bolt_search.advanced(search, SPREAD, DT, jams=False, is_clear=False)
     return search
 
 
@@ -71,14 +76,14 @@ def test_tips_that_slip_in_have_not_pressed_after_as_long() -> None:
     assert search == NO_BOLT_SEARCH
 
 
-def stepped(search: BoltSearch, seconds: float, *, is_back: bool = True) -> BoltSearch:
+def stepped(search: BoltSearch, seconds: float, *, is_clear: bool = True) -> BoltSearch:
     for _ in range(round(seconds / DT)):
-        search = bolt_search.advanced(search, SPREAD, DT, jams=False, is_back=is_back)
+        search = bolt_search.advanced(search, SPREAD, DT, jams=False, is_clear=is_clear)
     return search
 
 
 def jammed(search: BoltSearch, spread: float = SPREAD) -> BoltSearch:
-    return bolt_search.advanced(search, spread, DT, jams=True, is_back=False)
+    return bolt_search.advanced(search, spread, DT, jams=True, is_clear=False)
 
 
 def test_each_angle_is_tried_once_and_then_the_search_is_over() -> None:
@@ -95,8 +100,8 @@ def test_each_angle_is_tried_once_and_then_the_search_is_over() -> None:
     assert search.is_over
 
 
-def test_the_tool_turns_at_the_far_gate_alone() -> None:
-    search = stepped(jammed(NO_BOLT_SEARCH), 3.0, is_back=False)
+def test_the_tool_does_not_turn_while_its_tips_may_touch() -> None:
+    search = stepped(jammed(NO_BOLT_SEARCH), 3.0, is_clear=False)
     assert search.is_jammed
     assert search.angle == 0.0
 

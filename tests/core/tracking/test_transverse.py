@@ -760,3 +760,33 @@ def test_a_ramp_that_is_predicted_moves_the_object_in_the_prediction() -> None:
     assert angles[0] * SHIFT.lever == pytest.approx(true, abs=0.03e-3)
     assert own.is_driven
     assert not Transverse(FusionSettings(), (replace(SHIFT, gain=0.0),)).is_driven
+
+
+def watched(own: Transverse, state: TransverseState, amplitude: float) -> TransverseState:
+    """The estimate after 1.2 s of images of an object that sways by 0.9 Hz."""
+    due = 0.0
+    for k in range(1, 101):
+        state = own.predict(state, T0)
+        if k * T0 >= due:
+            due += FRAME
+            z = amplitude * math.sin(2.0 * math.pi * SHIFT.frequency_hz * k * T0)
+            place = PLACE + np.array((0.0, 0.0, z))
+            state, _ = own.correct(state, seen(place, rotations.exp(OFF), 0.0, 0.0), GATE)
+    return state
+
+
+def test_images_show_how_an_object_sways_that_was_pushed() -> None:
+    own, amplitude = Transverse(FusionSettings(), (SHIFT,)), 0.003
+    state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.0)] * 5)
+    for _ in range(4):
+        state = watched(own, state, 0.0)
+
+    def error(later: TransverseState) -> float:
+        span = np.array((0.0, 0.3, 0.6))
+        z = float(later.x[1]) + SHIFT.lever * own.swing_angles(later, span)[0] - PLACE[2]
+        angle = 2.0 * math.pi * SHIFT.frequency_hz * (100 * T0 + span)
+        return float(np.abs(z - amplitude * np.sin(angle)).max())
+
+    known = error(watched(own, own.pushed(state), amplitude))
+    assert known < 0.0005
+    assert error(watched(own, state, amplitude)) > 3.0 * known

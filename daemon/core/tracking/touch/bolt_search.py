@@ -5,7 +5,7 @@ between their holes stop the tool, and no force shows to which side they have to
 backs off, turns about its axis, and comes again.
 
 Invariants:
-- The tool turns at the far gate alone, and stays turned until the task is over.
+- The tool turns where its tips are clear of the object, and stays turned until the task is over.
 - A chamfer that draws the bolts in pushes aside as hard as it pushes back: that is no jam.
 - A force that lasts is one, however small: the tips push an object on a soft carrier away.
 - After the last angle the tool waits before contact: pressing on would drive the object away.
@@ -72,6 +72,11 @@ def is_at_tips(length: float, distance: float) -> bool:
     return -length - TIPS_RESERVE < distance < -max(DEEPEST * length, TIPS_RESERVE)
 
 
+def is_clear(length: float, distance: float) -> bool:
+    """Return whether the tips of the bolts are so far off that a tool may turn."""
+    return distance < -length - TIPS_RESERVE
+
+
 def is_pressed(force: Sequence[float], length: float, distance: float, least: float) -> bool:
     """Return whether the tips of the bolts press on the object by more than they rub in holes.
 
@@ -111,14 +116,14 @@ def pressing(search: BoltSearch, dt: float, *, presses: bool) -> BoltSearch:
 
 
 def advanced(
-    search: BoltSearch, spread: float, dt: float, *, jams: bool, is_back: bool
+    search: BoltSearch, spread: float, dt: float, *, jams: bool, is_clear: bool
 ) -> BoltSearch:
     """Return the search one step later.
 
     Args:
         spread: by which the bolts' angle may be off to each side [rad].
         jams: the tips rest between their holes.
-        is_back: the tool is at the far gate.
+        is_clear: its tips are clear of the object.
     """
     if not search.is_jammed and (jams or search.pressed_s > LASTING_S):
         # Without other angles the search is over.
@@ -127,7 +132,7 @@ def advanced(
     if search.turning < TURN_S:
         turning = search.turning + dt
         return replace(search, turning=turning, is_jammed=turning < TURN_S)
-    if search.is_jammed and is_back and not search.is_over:
+    if search.is_jammed and is_clear and not search.is_over:
         tried = search.tried + 1
         return BoltSearch(tried, True, search.angle, TURNS[tried] * spread, 0.0)
     return search
