@@ -115,9 +115,9 @@ def _program() -> Iterator[tuple[str, int, int]]:
             folders.sort()
             yield from (_state(f"{folder}/{name}") for name in sorted(names) if name[-3:] == ".py")
     for package in _PACKAGES:
-        found = find_spec(package)
+        spec = find_spec(package)
         for name in ("__init__.py", "version.py"):
-            place = "" if found is None or found.origin is None else found.origin
+            place = "" if spec is None or spec.origin is None else spec.origin
             with suppress(OSError):
                 yield _state(str(Path(place).with_name(name)))
 
