@@ -119,6 +119,8 @@ class ArrivalClock:
             return now_ns
         age_ns = realtime_ns - stamp_realtime_ns
         if 0 <= age_ns <= now_ns - self._empty_ns + self.margin_ns:
+            # What is read later has come later.
+            self._empty_ns = max(self._empty_ns, now_ns - age_ns)
             return now_ns - age_ns
         if -PAIR_TOLERANCE_NS < age_ns < 0:
             return now_ns

@@ -36,6 +36,14 @@ def test_an_age_greater_than_the_last_empty_read_is_refused_and_counted() -> Non
     assert clock.refused == 1
 
 
+def test_a_datum_cannot_have_come_before_the_one_that_was_read_before_it() -> None:
+    clock = _clock(empty_ns=0)
+    assert clock.arrival(990 * MS, now_ns=5_000 * MS, realtime_ns=1_000 * MS) == 4_990 * MS
+    # The wall clock has stepped by a second.
+    assert clock.arrival(1_000 * MS, now_ns=5_010 * MS, realtime_ns=2_010 * MS) == 5_010 * MS
+    assert clock.refused == 1
+
+
 def test_a_wall_clock_that_stepped_back_cannot_make_a_datum_younger_than_now() -> None:
     clock = _clock(empty_ns=1_000 * MS)
     assert clock.arrival(3_600_000 * MS, now_ns=1_030 * MS, realtime_ns=0) == 1_030 * MS

@@ -11,6 +11,7 @@ import pytest
 from loops import run, until
 
 from linemate.drivers.backoff import Backoff
+from linemate.drivers.udp import robot_udp
 from linemate.drivers.udp.robot_udp import RobotLink
 from linemate.protocol.controller_link import ReadyReply
 from linemate.protocol.rsi.telegram_reader import ExpectedTelegram
@@ -89,6 +90,37 @@ def test_after_a_stall_only_the_newest_telegram_is_answered(controller: socket.s
         link.close()
         assert link.counters["stale"] == 19
         assert link.counters["answered"] == 1
+
+    run(main())
+
+
+@pytest.mark.parametrize(("fresh_ns", "answered"), [(10**10, [b"one", b"two"]), (0, [b"two"])])
+def test_only_an_expected_telegram_that_has_just_come_is_answered_before_a_newer_one(
+    controller: socket.socket,
+    monkeypatch: pytest.MonkeyPatch,
+    fresh_ns: int,
+    answered: list[bytes],
+) -> None:
+    monkeypatch.setattr(robot_udp, "FRESH_NS", fresh_ns)
+    heard: list[bytes] = []
+
+    def hear(data: bytes, _stamp: int, _source: tuple[str, int], *, is_answered: bool) -> bytes:
+        assert is_answered
+        heard.append(data)
+        return b"ready"
+
+    async def main() -> None:
+        link = RobotLink(hear, port=0, ready_reply=lambda: _ready(controller, b"ready"))
+        link.open()
+        assert link.address is not None
+        controller.sendto(b"one", link.address)
+        controller.sendto(b"two", link.address)
+        link.poll()
+        assert heard == answered[:1]
+        link.poll()
+        assert heard == answered
+        assert link.counters["stale"] == 2 - len(answered)
+        link.close()
 
     run(main())
 
