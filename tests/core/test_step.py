@@ -517,6 +517,23 @@ def test_no_screws_are_ordered_while_the_object_does_not_push_back() -> None:
         assert (outputs.task_time or 0.0) > 8.5
 
 
+@pytest.mark.parametrize(("push", "is_doubted"), [(300.0, True), (120.0, False)])
+def test_a_touch_with_more_force_than_the_advance_gives_ends_and_moves_no_target(
+    push: float, *, is_doubted: bool
+) -> None:
+    world = tracking(7.0)
+    world.state = replace(world.state, tracker=replace(world.state.tracker, touching=0.2))
+    offsets = []
+    for _ in range(12):
+        inputs = world.inputs(MotionOrder.TRACK)
+        felt = tuple(replace(w, force=(0.0, 0.0, -push)) for w in inputs.wrench)
+        outputs = world.take(replace(inputs, wrench=felt))
+        offsets.append(world.state.tracker.compliance.offset)
+    assert outputs.contact
+    assert (outputs.unanswered_n is not None) == is_doubted
+    assert (offsets[-1] == offsets[-4]) == is_doubted
+
+
 def test_no_screws_are_ordered_in_a_retreat() -> None:
     world = tracking(9.0)
     assert world.outputs is not None

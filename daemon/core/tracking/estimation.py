@@ -42,6 +42,7 @@ from linemate.daemon.core.tracking.touch import (
     held_bolts,
     release,
     tare,
+    touch_proof,
 )
 from linemate.daemon.core.tracking.touch.bolt_search import BoltSearch
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
@@ -480,6 +481,7 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
         not is_seated(tracker, state)
         or _is_overload(tracker, wrench)
         or state.force_sign.is_suspect
+        or touch_proof.is_doubted(state.beyond_s)
     ):
         return False
     if state.releasing is None:

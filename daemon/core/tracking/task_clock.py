@@ -14,7 +14,7 @@ from linemate.daemon.core.tracking.go_no_go.clock_ramp import ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import guard, release
+from linemate.daemon.core.tracking.touch import guard, release, touch_proof
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
 LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object any more [m]
@@ -134,10 +134,11 @@ def _speed_near(tracker: Tracker, now: int) -> float:
 def is_before_contact(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether there was no contact yet: a retreat must not lead the tool there.
 
-    A touch that is felt after the clamp was ordered to open is none: the programme stays where it
-    is.
+    A touch that is felt after the clamp was ordered to open is none, as is one that is doubted: the
+    programme stays where it is.
     """
-    is_late = state.releasing is not None and state.releasing > state.touching
+    is_none = touch_proof.is_doubted(state.beyond_s) or (state.releasing or 0.0) > state.touching
+    is_late = state.releasing is not None and is_none
     # A clamp that a retreat has opened before is no release by the programme.
     is_released = Gate.WHEEL_RELEASED in state.passed and state.time >= tracker.search_time
     return (not state.contact or is_late) and not is_released

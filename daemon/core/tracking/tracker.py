@@ -52,6 +52,7 @@ from linemate.daemon.core.tracking.touch import (
     guard,
     release,
     tare,
+    touch_proof,
 )
 from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
@@ -249,6 +250,9 @@ def _pressing_poses(tracker: Tracker, state: TrackerState, relative: Array) -> A
 def _waiting_poses(tracker: Tracker, state: TrackerState, relative: Array) -> Array:
     """Return the programmed tcp in the object (m, 6) of a tool that is to retreat."""
     relative = release.without_press(relative)
+    if state.contact and touch_proof.is_doubted(state.beyond_s):
+        since = (state.releasing or 0.0) + tracker.span
+        return release.standing_off(relative, since, tracker.merge_clamped.committed_s)
     is_near = state.clamped and not state.contact_state.doubtful
     if is_near and is_before_contact(tracker, state):
         relative = release.at_stand_off(relative)
@@ -410,9 +414,11 @@ def swinging(tracker: Tracker, state: TrackerState) -> float | None:
 
 
 def unanswered(tracker: Tracker, state: TrackerState) -> float | None:
-    """Return the mean force [N] of a contact whose suspect force has answered none of its tests."""
+    """Return the mean force [N] of a contact that is none, or has answered none of its tests."""
     if not state.contact or state.releasing is not None:
         return None
+    if touch_proof.is_doubted(state.beyond_s):
+        return math.hypot(*state.pull)
     overload = tracker.settings.tactile.overload_force
     return force_sign.unanswered(state.force_sign, math.hypot(*state.pull), overload)
 
@@ -604,8 +610,13 @@ def update_contact(
         after = replace(after, stood=before.stood + tracker.cycle_s if held else 0.0)
     if before.contact:
         lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
-        touching = before.touching + tracker.cycle_s
-        return replace(after, contact=not lost, touching=touching, contact_state=contact.NO_CONTACT)
+        return replace(
+            after,
+            contact=not lost,
+            touching=before.touching + tracker.cycle_s,
+            contact_state=contact.NO_CONTACT,
+            beyond_s=0.0 if lost else _beyond(tracker, after, report),
+        )
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
     # Without a force sensor a retreat that waits for the clamp learns nothing of a touch.
@@ -656,6 +667,7 @@ def update_contact(
         contact=has_contact,
         assumed=assumed,
         touching=0.0,
+        beyond_s=0.0,
         touched=touched,
         search=search,
         force_sign=sign,
@@ -678,10 +690,18 @@ def _holds_nothing(tracker: Tracker, state: TrackerState, report: Report) -> boo
     return release.holds_nothing(
         opening=state.releasing,
         timeout=tracker.task.tool.release_timeout,
-        touching=state.touching,
+        touching=0.0 if touch_proof.is_doubted(state.beyond_s) else state.touching,
         distance=state.distance,
         pulls=is_pulling(tracker, state) and not swings,
     )
+
+
+def _beyond(tracker: Tracker, state: TrackerState, report: Report) -> float:
+    """Return for how long a touch has given more force than an object does [s]."""
+    push = 0.0 if report.force is None else -float(report.force[2])
+    stiffness = tracker.settings.tactile.stiffness[2]
+    times = state.touching, tracker.cycle_s
+    return touch_proof.advanced(state.beyond_s, push, state.distance, stiffness, *times)
 
 
 def _approach_speed(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:

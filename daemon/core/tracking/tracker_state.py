@@ -185,6 +185,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         ramp: how the task's clock goes on before contact.
         force_sign: whether the force on the clamped tool measures the object.
         bolts: search for the angle of bolts that do not enter.
+        beyond_s: for which a touch has given more force than an object does [s].
     """
 
     history: History | None
@@ -246,6 +247,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     calming: int = 0
     force_sign: ForceSign = TRUSTED
     bolts: BoltSearch = NO_BOLT_SEARCH
+    beyond_s: float = 0.0
 
 
 class Report(Struct, frozen=True, eq=False):

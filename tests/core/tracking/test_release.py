@@ -155,3 +155,13 @@ def test_the_press_goes_once_the_opening_is_ordered_behind_what_is_commanded(
 def test_a_tool_that_does_not_press_is_not_unloaded() -> None:
     relative = np.full((5, 6), -0.002)
     assert release.unloading(relative, np.full(5, 1.0), 0.1) is relative
+
+
+def test_a_tool_that_may_hold_nothing_goes_back_to_where_a_closed_clamp_pulls() -> None:
+    relative, since = np.zeros((50, 6)), np.linspace(0.0, 1.0, 50)
+    relative[:, 2] = 0.001
+    depth = release.standing_off(relative, since, 0.1)[:, 2]
+    assert depth[0] == 0.0
+    assert depth[-1] == pytest.approx(-release.STAND_OFF)
+    assert np.abs(np.diff(depth)).max() < 0.0005
+    assert relative[0, 2] == 0.001

@@ -189,3 +189,19 @@ def at_stand_off(relative: Array) -> Array:
     # As a whole: a corner in what is committed would swing the tool into the object.
     changed[:, 2] += max(0.0, -STAND_OFF - float(relative[-1, 2]))
     return changed
+
+
+def standing_off(relative: Array, since: Array, commanded: float) -> Array:
+    """Return the programmed tcp in the object (m, 6), which goes back to the stand-off.
+
+    A closed clamp pulls there, and shows that it is closed.
+
+    Args:
+        relative: (m, 6) programmed tcp in the object; not written to.
+        since: (m,) times since the clamp was ordered to open [s].
+        commanded: time for which the motion is commanded already [s].
+    """
+    changed = relative.copy()
+    back = -STAND_OFF * smoothstep((since - commanded) / UNLOADING_S)
+    changed[:, 2] = np.minimum(relative[:, 2], back)
+    return changed

@@ -1,0 +1,40 @@
+"""Proof of a touch: the force of an object is no more than the tool's advance gives.
+
+A mount is bent by as much as the tool has gone beyond the object. A force sensor that drifts in
+the last millimetres looks like a touch, and drifts on while the tool stands. A free tool that
+followed such a force followed itself, and swung with 900 N.
+
+Invariants:
+- A doubted force moves no target and no estimate until the contact ends.
+- A touch that stood for ``PROVEN_S`` is not doubted any more: an object may come nearer later.
+"""
+
+SETTLED_S = 0.1  # after a touch the tool still runs on what was commanded [s]
+PROVEN_S = 0.5  # after it the touch is proved [s]
+EXCESS_M = 0.002  # of the mount's bend beyond the tool's advance: no object comes so near [m]
+DOUBTED_S = 0.03  # for which the force must be beyond it [s]
+
+
+def advanced(
+    beyond_s: float, push: float, advance: float, stiffness: float, touching: float, dt: float
+) -> float:
+    """Return for how long the force has been more than the object can give [s].
+
+    Args:
+        beyond_s: the same a step before.
+        push: force by which the object pushes the tool back [N].
+        advance: programmed, of the tcp beyond the object [m].
+        stiffness: of the mount along the tool's axis [N/m].
+        touching: time since the touch [s].
+        dt: since the step before [s].
+    """
+    if is_doubted(beyond_s):
+        return beyond_s
+    is_due = SETTLED_S < touching < PROVEN_S
+    is_beyond = push > stiffness * (max(advance, 0.0) + EXCESS_M)
+    return beyond_s + dt if is_due and is_beyond else 0.0
+
+
+def is_doubted(beyond_s: float) -> bool:
+    """Return whether a touch was none."""
+    return beyond_s >= DOUBTED_S
