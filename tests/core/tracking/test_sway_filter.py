@@ -295,3 +295,23 @@ def test_a_chain_that_drives_the_body_shows_how_a_stop_will_do_it(seed: int) -> 
     assert state.sway_omega == pytest.approx(w, rel=0.05)
     assert state.x[GAIN] == pytest.approx(1.0, abs=0.25)
     assert worst < 0.0016
+
+
+def test_a_known_sway_that_nothing_sees_is_as_uncertain_as_it_may_be_wrong() -> None:
+    """The camera is blind for 2 s before a touch, and the line runs."""
+    settings = SwaySettings(
+        frequency_hz=1.218, gain=1.0, gain_deviation=0.05, spread=0.02, damping=0.01
+    )
+    bank, truth = replace(BANK, sway=settings), Truth(9.0, (), ripple=1e-5)
+    sway, seen_s, blind_s = sway_of(truth, 1.2, 0.0, 0.003), 4.0, 2.0
+    state, _, _ = run(truth, sway, seen_s, bank=bank)
+    t = seen_s - T0
+    for _ in range(round(blind_s / T0)):
+        t += T0
+        value = float(np.interp(t - 0.001, truth.times, truth.positions))
+        rows = [PositionMeasurement(Source.DISTANCE, value, 0.001, DEVIATION**2, 4.0)]
+        state = bank.advance(state, rows, T0)
+    error = float(state.x[SWAY] - np.interp(t, truth.times, sway))
+    sigma = math.sqrt(float(state.P[SWAY, SWAY]))
+    assert abs(error) < 2.5 * sigma
+    assert sigma < 0.0007

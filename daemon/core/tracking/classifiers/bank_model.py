@@ -46,7 +46,7 @@ RIPPLE_FACTORS = (0.7, 1.4)  # range of the ripple's frequency over the configur
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
-DRIVEN_WALK = 0.3  # random walk of a sway that chain and drive excite, as a share [1/sqrt(s)]
+DRIVEN_WALK = 0.0003  # of a sway, by what chain and drive do beyond the ripple [m/sqrt(s)]
 NO_SWAY = (0.0,) * 6  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
@@ -260,10 +260,11 @@ class BankModel:
         if state.sway_omega:
             sway, quadrature = float(state.x[SWAY]), float(state.x[SWAY_QUADRATURE])
             size = self.sway.least + math.hypot(sway, quadrature)
-            share, pace = self.sway.walk, self.sway.pace**2 * dt
+            walk, pace = (self.sway.walk * size) ** 2 * dt, self.sway.pace**2 * dt
             if self.holds_pace(state) and state.guide is None:
-                share, pace = max(share, DRIVEN_WALK), 0.0
-            walk = (share * size) ** 2 * dt
+                # A frequency that is held may be off: by its spread, over a second of phase.
+                off = self.sway.spread * state.sway_omega * size
+                walk, pace = walk + (off * off + DRIVEN_WALK**2) * dt, 0.0
             if state.contact:
                 driven = self.sway.driven**2 * dt
         known = [1e-12, speed**2 * dt, ripple, offset, rate, 0.0, 0.0]
