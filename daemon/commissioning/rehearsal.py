@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core import rotations, way_home
 from linemate.daemon.core.control.kinematics import UnreachableError
 from linemate.daemon.core.horizon import Array

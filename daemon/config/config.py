@@ -12,9 +12,10 @@ from typing import Any
 
 from linemate.daemon.config import documents, files, overlays
 from linemate.daemon.config.controller_section import ControllerFile, default_port
-from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
+from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.settings import (
     Config,
     ControllerKind,

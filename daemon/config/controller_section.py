@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from linemate.daemon.config import rsi_section
-from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.section_checks import PlainValues, waiting_gates
 from linemate.daemon.config.settings import EGM_PORT, ControllerKind
 from linemate.daemon.core.tracking.task import TaskFile

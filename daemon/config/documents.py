@@ -7,21 +7,18 @@ Invariants:
 - Duplicate keys, unknown keys and numbers that are not finite are errors.
 """
 
-import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import MISSING, dataclass, field
-from typing import Any, TypeVar, cast
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import yaml
 
-from linemate.daemon.config.reading import filling
+from linemate.daemon.config.reading import accepted
+from linemate.daemon.config.reading.complaints import Complaint, Path, Place
 
 T = TypeVar("T")
-
-Path = tuple[str | int, ...]  # keys and indices from the file's root
-Place = tuple[int, int]  # line and column, from 1
 
 MAX_BYTES = 262_144
 MAX_NODES = 20_000
@@ -52,23 +49,6 @@ class FileError(Exception):
         """Keep the lines and print them."""
         super().__init__("\n".join(lines))
         self.lines = tuple(lines)
-
-
-@dataclass(frozen=True, slots=True)
-class Complaint:
-    """One thing that is wrong.
-
-    Attributes:
-        path: where in the values.
-        what: message for the author of the file.
-        at_key: the key is wrong, not its value.
-        place: where, if the path does not say it.
-    """
-
-    path: Path
-    what: str
-    at_key: bool = False
-    place: Place | None = None
 
 
 @dataclass(slots=True)
@@ -160,35 +140,27 @@ def fill(
     Raises:
         FileError: every error at once.
     """
-    filled, wrong_values = filling.fill(target, document.value)
     complaints = list(document.complaints)
-    unread = {complaint.path for complaint in complaints if complaint.place is None}
-    complaints.extend(
-        Complaint(wrong.path, wrong.what + _shown(wrong.value), wrong.at_key)
-        for wrong in wrong_values
-        if wrong.path not in unread
-    )
+    filled = accepted.filled(target, document.value)
+    if filled is None:
+        from linemate.daemon.config.reading import judged  # pydantic is a third of a start
+
+        filled, invalid = judged.filled(target, document.value)
+        unread = {complaint.path for complaint in complaints if complaint.place is None}
+        complaints.extend(complaint for complaint in invalid if complaint.path not in unread)
     # A duplicate key, which has a place, does not hide errors of its value.
     wrong = {complaint.path for complaint in complaints if complaint.place is None}
     complaints.extend(c for c in check(document.value) if c.path not in wrong)
-    if complaints:
+    if complaints or filled is None:
         raise FileError(document.lines(complaints))
-    return cast("T", filled)
+    return filled
 
 
 def schema(target: type[Any], title: str) -> dict[str, Any]:
     """Return the JSON schema of a dataclass, with the meaning of each key."""
-    from linemate.daemon.config.reading import json_schema  # pydantic is a tenth of a start
+    from linemate.daemon.config.reading import judged
 
-    return json_schema.documented(target, title)
-
-
-def _shown(value: object) -> str:
-    """Return a value as the end of a message, empty for one that has parts."""
-    if value is MISSING or isinstance(value, (dict, list)):
-        return ""
-    text = "nothing" if value is None else json.dumps(value, ensure_ascii=False, default=repr)
-    return f", not {text if len(text) <= 60 else text[:57] + '...'}"
+    return judged.schema(target, title)
 
 
 def _decoded(data: bytes, name: str) -> str:

@@ -11,9 +11,10 @@ from typing import Any
 
 from linemate.daemon.config import controller_section, files, section_checks, task_file, timeouts
 from linemate.daemon.config.controller_section import ControllerFile
-from linemate.daemon.config.documents import Complaint, FileError
+from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.section_checks import PlainValues
 from linemate.daemon.config.task_file import Task
 from linemate.protocol.command.preshared_keys import PresharedKey

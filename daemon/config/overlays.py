@@ -18,8 +18,9 @@ import yaml
 
 from linemate.daemon.config import documents, files, task_file, timeouts
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
+from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import files
-from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.section_checks import PlainValues, waiting_gates
 from linemate.daemon.config.settings import Corrections
 from linemate.daemon.core.tracking.task import TaskFile

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core.tracking.task import Gate, TaskFile
 from linemate.protocol.numeric_peer import parse_peer
 

@@ -15,8 +15,9 @@ import yaml
 
 from linemate.daemon.config import documents, files
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.documents import Complaint, FileError, YamlDocument
+from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
 from linemate.protocol.stamped_samples import Vector3

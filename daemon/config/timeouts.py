@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any
 
-from linemate.daemon.config.documents import Complaint
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.settings import ControllerKind, EgmSettings, FanucSettings, RsiSettings
 from linemate.daemon.config.watch_settings import WatchSettings, timeout_error
 

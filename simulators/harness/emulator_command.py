@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import documents, files
-from linemate.daemon.config.documents import Complaint, FileError
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.protocol.errors import ProtocolError
 from linemate.simulators.devices.faults import REAL, Faults
 from linemate.simulators.devices.links.emulator import serve

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.config import documents, task_file
-from linemate.daemon.config.documents import Complaint, FileError
+from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.near_names import near_names
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.harness.cell import cell_truth
@@ -185,7 +186,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
             yield Complaint(("faults", i, "kind"), what)
 
 
-def _out_of_range(value: Any, path: documents.Path = ()) -> Iterator[Complaint]:
+def _out_of_range(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[Complaint]:
     """Yield plain values that are out of their field's range; other kinds are ignored."""
     if isinstance(value, dict):
         for key, item in value.items():
