@@ -1,4 +1,4 @@
-"""Values that are right beyond doubt, filled by msgspec without the time that pydantic needs.
+"""Values that are right for certain, filled by msgspec without the time that pydantic needs.
 
 Invariants:
 - What is accepted here, pydantic accepts with the same values; the tests compare them.
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 
 def filled(target: type[T], value: Any) -> T | None:
-    """Return a dataclass with these plain values; None if anything about them is in doubt."""
+    """Return a dataclass with these plain values; None if pydantic has to judge them."""
     try:
         whole = msgspec.convert(value, target, dec_hook=_path)
     except (msgspec.ValidationError, ValueError, TypeError, OverflowError, RecursionError):
