@@ -291,7 +291,7 @@ def open_gates(
     gates = []
     if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
         gates.append(Gate.OBJECT_CLOSE)
-    if state.blended is not None and state.blended >= tracker.settings.merge.blend:
+    if is_blended(state):
         gates.append(Gate.OBJECT_SEEN)
     if samples.digital_in & 1 or _has_lasted(fixing, tool.fixed_after):
         gates.append(Gate.SCREWS_FIXED)
@@ -300,6 +300,11 @@ def open_gates(
     if opened or _has_lasted(releasing, tool.released_after):
         gates.append(Gate.WHEEL_RELEASED)
     return state.passed if state.passed.issuperset(gates) else state.passed.union(gates)
+
+
+def is_blended(state: TrackerState) -> bool:
+    """Return whether the goal is that of the sensed object alone."""
+    return state.blended is not None and state.blended >= state.blend_s
 
 
 def _has_lasted(age: float | None, needed: float | None) -> bool:

@@ -39,6 +39,7 @@ from linemate.daemon.core.tracking.task_clock import (
     advance_clock,
     elapsed,
     is_before_contact,
+    is_blended,
     open_gates,
     programme_times,
     standing_time,
@@ -173,11 +174,7 @@ def track(
         state = comply(tracker, state, samples, view, wrench, part)
         target, part = _complied(tracker, state, target, part)
         target = bolt_search.turned(target, state.bolts, span)
-        if _is_blended(tracker, state):
-            goal = sagging(state, target)
-        elif state.blended is not None:
-            share = approach.smoothstep((state.blended + span) / tracker.settings.merge.blend)
-            goal = approach.blend(goal, sagging(state, target), share)
+        state, goal = _blend(tracker, state, goal, target)
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
@@ -204,7 +201,7 @@ def _programmed_poses(
     times = programme_times(tracker, state)
     if times is None:
         goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-        if not (retreat or _is_blended(tracker, state)):
+        if not (retreat or is_blended(state)):
             goal = _going_on(tracker, state, goal, limit)
     else:
         goal, relative = tracker.table.between(times)
@@ -213,9 +210,21 @@ def _programmed_poses(
     return goal, _waiting_poses(tracker, state, relative) if retreat else relative
 
 
-def _is_blended(tracker: Tracker, state: TrackerState) -> bool:
-    """Return whether the goal is that of the sensed object alone."""
-    return state.blended is not None and state.blended >= tracker.settings.merge.blend
+def _blend(
+    tracker: Tracker, state: TrackerState, goal: Array, target: Array
+) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) between programmed and sensed motion."""
+    if state.blended is None:
+        return state, goal
+    if state.blend_s == math.inf:
+        way = float(np.linalg.norm(target[0, :3] - goal[0, :3]))
+        blend_s = approach.catch_up_time(way, tracker.settings.merge.blend)
+        state = replace(state, blend_s=blend_s)
+    sensed = sagging(state, target)
+    if is_blended(state):
+        return state, sensed
+    share = approach.smoothstep((state.blended + tracker.span) / state.blend_s)
+    return state, approach.blend(goal, sensed, share)
 
 
 def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) -> Array:

@@ -132,6 +132,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         started: the start edge has come.
         passed: gates that are open.
         blended: time since the blend to the sensed motion began [s], None before.
+        blend_s: how long that blend takes [s]; infinity before.
         contact_state: of the contact detection, until there is contact.
         force_offset: what jumps of the measured force have added to it before contact.
         contact: the tool is clamped to the object.
@@ -200,6 +201,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     started: bool = False
     passed: frozenset[Gate] = frozenset()
     blended: float | None = None
+    blend_s: float = math.inf
     contact_state: contact.ContactState = contact.NO_CONTACT
     force_offset: force_jump.ForceOffset = force_jump.NO_OFFSET
     contact: bool = False

@@ -201,3 +201,11 @@ def test_an_object_that_moves_askew_is_off_by_its_slopes_times_the_way_from_now(
     off[:, 0], off[:, 2] = 0.01 * (along - along[0]), -0.02 * (along - along[0])
     assert np.allclose(moved - tcp, off, atol=1e-15)
     assert np.allclose(now, now_askew)
+
+
+def test_a_blend_takes_its_usual_time_unless_the_object_has_gone_far() -> None:
+    assert approach.catch_up_time(0.11, 0.5) == 0.5
+    late = approach.catch_up_time(0.76, 0.5)
+    share = approach.smoothstep(np.linspace(0.0, 1.0, 1001))
+    fastest = 0.76 * np.diff(share).max() / (late / 1000)
+    assert fastest == pytest.approx(approach.CATCH_UP_SPEED, rel=1e-3)
