@@ -208,7 +208,8 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
     trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
     near = facts.gap_m is not None and facts.gap_m < settings.near_m
-    # A stop this near to the object would end in contact.
+    # A stop this near to the object would end in contact. So does a hold as the object goes on.
+    trouble = trouble or watch.state is State.HOLD
     contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
     contact = contact or (watch.near and watch.state is State.FAULT)
     return _seen(

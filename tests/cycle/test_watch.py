@@ -192,6 +192,14 @@ def test_trouble_near_the_object_counts_as_contact_and_elsewhere_does_not(
     assert not run.cycle(**{**facts, **trouble}, gap_m=None).contact
 
 
+def test_a_tool_that_stands_so_near_to_the_object_is_in_contact_without_any_trouble() -> None:
+    run = Run(State.HOLD)
+    for _ in range(SETTINGS.healthy_cycles + 1):
+        signals = run.cycle(position_ns=run.now_ns, wrench_ns=run.now_ns, gap_m=0.031)
+    assert not signals.contact
+    assert run.cycle(position_ns=run.now_ns, wrench_ns=run.now_ns, gap_m=0.029).contact
+
+
 def test_missing_telegrams_near_the_object_count_as_contact() -> None:
     run = Run(State.TRACK, CYCLES_NS[-1]).healthy()
     seen = [

@@ -214,7 +214,8 @@ def _blend(
     tracker: Tracker, state: TrackerState, goal: Array, target: Array
 ) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) between programmed and sensed motion."""
-    if state.blended is None:
+    blended = state.blended
+    if blended is None:
         return state, goal
     if state.blend_s == math.inf:
         way = float(np.linalg.norm(target[0, :3] - goal[0, :3]))
@@ -223,7 +224,7 @@ def _blend(
     sensed = sagging(state, target)
     if is_blended(state):
         return state, sensed
-    share = approach.smoothstep((state.blended + tracker.span) / state.blend_s)
+    share = approach.smoothstep((blended + tracker.span) / state.blend_s)
     return state, approach.blend(goal, sensed, share)
 
 
