@@ -1,7 +1,5 @@
 """A tool that holds next to an object that goes on: it withdraws before the object reaches it."""
 
-import numpy as np
-
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
 from linemate.simulators.judge.rows import STATES
@@ -14,6 +12,6 @@ def test_a_hold_ends_in_a_retreat_as_the_object_passes_the_tool() -> None:
     states = [STATES[state] for state in evidence.rows.state]
     assert "hold" in states
     assert "retreat" in states[states.index("hold") :]
-    # It stood, and the body that the restarted conveyor moves on collided with it.
+    # A tool that stands there is hit by the body that the restarted conveyor moves on.
     assert judge(evidence)["outcome"] == "retreated"
-    assert not np.isin("contact", states)
+    assert "contact" not in states

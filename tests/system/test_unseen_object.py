@@ -8,6 +8,7 @@ from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import RunEvidence
 
 FREE_N = 60.0  # on a tool that hangs free; a programme that stood at once shook it with 390 N
+RETREAT_N = 150.0  # the retreat's own acceleration; with a jump of the plan it was 475 N
 CORNER = 0.015  # speed of the plan from one step to the next [m/s]; the line has 0.106 m/s
 
 
@@ -35,3 +36,13 @@ def test_a_tool_that_waits_for_the_first_image_is_not_shaken(camera: str, is_see
         if entry.after is not None:
             speeds = np.diff(entry.after.tracker.poses[:, :3], axis=0) / 0.012
             assert np.abs(np.diff(speeds, axis=0)).max() < CORNER
+
+
+def test_a_retreat_from_that_gate_does_not_shake_the_tool_either() -> None:
+    # A force of 600 N for 0.1 s, just after the clock has begun to stand at 2.8 s.
+    overload = "{at_s: 3.0, link: force_torque, kind: offset, duration_s: 0.1, value: 600}"
+    covered = "scenario.camera.effects.occlusions=[{begin_s: -9, end_s: 9}]"
+    evidence, entries = run_of(covered, f"scenario.faults=[{overload}]")
+    assert any(entry.state == "retreat" for entry in entries)
+    rows = evidence.rows
+    assert np.nanmax(np.linalg.norm(rows.force[rows.t > 2.5], axis=1)) < RETREAT_N

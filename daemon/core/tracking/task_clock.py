@@ -180,7 +180,9 @@ def advance_clock(
         blended += T0
     elif time > 0.0 and state.transverse is not None:
         blended = 0.0
-    clock_stood, carried = _standing(tracker, state, stands=not retreat and time == state.time)
+    # A retreat stands at once, but goes on coming to rest where the clock stood already.
+    stands = time == state.time and (not retreat or state.clock_stood > 0.0)
+    clock_stood, carried = _standing(tracker, state, stands=stands)
     screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
     releasing = time >= tool.release_wheel
     return replace(

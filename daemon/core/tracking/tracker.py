@@ -201,8 +201,9 @@ def _programmed_poses(
     times = programme_times(tracker, state)
     if times is None:
         goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-        if not (retreat or is_blended(state)):
-            goal = _going_on(tracker, state, goal, limit)
+        if not is_blended(state):
+            stands = not retreat or state.clock_stood > 0.0
+            goal = _going_on(tracker, state, goal, limit if stands else math.inf)
     else:
         goal, relative = tracker.table.between(times)
     if state.contact and not is_before_contact(tracker, state):
@@ -232,7 +233,7 @@ def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) 
     """Return the programmed tcp (m, 6) of a tool that comes to rest while its clock stands.
 
     Args:
-        limit: task time at which the clock stops [s].
+        limit: task time at which the clock stops [s]; infinity if it need not come to rest.
     """
     before = max(limit - state.time, 0.0)
     if before >= tracker.span[-1] and not state.carried:
