@@ -4,7 +4,9 @@ Real processes only. The ports that a broken file names are held by the test, so
 that a program that tried to bind before it was sure would end otherwise than it should.
 """
 
+import os
 import re
+import signal
 import socket
 import subprocess
 import sys
@@ -34,7 +36,17 @@ Error = tuple[str, str, str, str]
 
 
 def ended(*command: str) -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run(command, capture_output=True, timeout=60.0, check=False)
+    """Run it to its end. One that does not end is aborted: it then says where it stands."""
+    environment = {**os.environ, "PYTHONFAULTHANDLER": "1"}
+    streams = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, **streams) as process:
+        try:
+            out, error = process.communicate(timeout=60.0)
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGABRT)
+            _, error = process.communicate()
+            pytest.fail(f"{command} did not end:\n{error.decode()}")
+    return subprocess.CompletedProcess(command, process.returncode, out, error)
 
 
 def daemon(path: Path, *more: str) -> subprocess.CompletedProcess[bytes]:
