@@ -32,11 +32,13 @@ def regressions() -> list[str]:
     return [line for line in lines if line and not line.startswith("#")]
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("seed", [0, 2, 3, 6, 7, 10])
 def test_a_seed_runs_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed)).violations == ()
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("seed", [1, 3, 5, 7])
 def test_a_seed_runs_at_4_ms_without_a_violation(seed: int) -> None:
     assert dst_run.run(draw(seed, cycle_ms=4)).violations == ()
@@ -62,6 +64,7 @@ def test_one_plan_leaves_one_trace_whatever_the_process_and_its_hash_seed() -> N
     assert dst_run.run(replace(plan, seed=4)).digest != here
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("seed", [2, 3, 7])
 def test_ports_that_tell_when_they_are_filled_are_as_good_as_asked_every_time(
     monkeypatch: pytest.MonkeyPatch, seed: int

@@ -35,6 +35,7 @@ def kinds(plan: FaultPlan) -> set[str]:
     return {what.partition(":")[0] for what in dst_run.run(plan).violations}
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("name", PLANS)
 def test_a_planted_error_is_a_violation_that_the_plan_has_not_without_it(name: str) -> None:
     with dst_planted.planted(name):

@@ -81,6 +81,7 @@ def test_x7_jitter_of_telegrams_makes_no_clock_race_and_no_tool_miss(mean_s: flo
     lived(Fault(0.4, "robot", "jitter", 1.0, mean_s))
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("cycle_ms", [12, 4])
 @pytest.mark.parametrize("lasting_s", [0.02, 0.07, 0.1, 0.14])
 def test_x8_telegrams_lost_in_contact_cost_no_mount(lasting_s: float, cycle_ms: int) -> None:
@@ -104,6 +105,7 @@ CLOSE = [
 ]
 
 
+@pytest.mark.row
 @pytest.mark.parametrize("lead_ms", [0.0, 5.0])
 @pytest.mark.parametrize(("at_s", "lasting_s"), CLOSE)
 def test_x8_telegrams_lost_close_to_the_hub_lead_the_tool_past_no_hub(
