@@ -227,14 +227,18 @@ def scratch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     )
     with DaemonProcess(folder, text) as daemon:
         host, port = daemon.robot()
-        emulated = f"robot_target: [{host}, {port}]\nwait_answered: 1000000\n"
+        # A busy machine answers late for minutes, and no page speaks of that.
+        emulated = (
+            f"robot_target: [{host}, {port}]\nwait_answered: 1000000\n"
+            "controller: {timeout: 1000000}\n"
+        )
         (folder / "emulator.yaml").write_text(emulated, encoding="utf-8")
         with subprocess.Popen(
             [*LINEMATE_SIM, "emulator", "--config", str(folder / "emulator.yaml")],
             stdout=subprocess.DEVNULL,
         ) as emulator:
             try:
-                daemon.status_once(lambda status: status["health"] == "healthy")
+                daemon.status_once(lambda status: status["health"] == "healthy", 60.0)
                 yield folder
             finally:
                 emulator.terminate()

@@ -54,7 +54,7 @@ class EmulatorConfig:
         serial_bind: TCP port of the force-torque sensor instead of the pty, None for the pty.
         force_torque_device: protocol of the sensor, "bota" or "robotiq-ft300".
         wait_answered: the world stands still until so many telegrams were answered, a missed one
-            taking back an eighth of them; until then nothing is charged.
+            taking back an eighth of them. Nothing is charged before the first.
         end_after_release_s: end so long after the tool let go of the part [s]; None: do not.
         end_after_collision_s: end so long after a collision [s]; None: do not.
         state_period_s: period of the state reports [s].
