@@ -56,44 +56,52 @@ TESTS: dict[str, tuple[str, ...]] = {
     "protocol/exchange.py": (
         "tests/protocol/test_exchange_transcript.py",
         "tests/protocol/test_exchange.py",
+        "tests/protocol/test_exchange_pair.py",
         "tests/protocol/test_corners.py",
     ),
     "protocol/exchange_controller.py": (
         "tests/protocol/test_exchange_transcript.py",
-        "tests/protocol/test_exchange.py",
+        "tests/protocol/test_exchange_controller.py",
+        "tests/protocol/test_exchange_pair.py",
     ),
     "protocol/rsi/codec.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
         "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/ethernet_config.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
         "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/telegram_layout.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
         "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/telegram_reader.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
         "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/xml_scan.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
         "tests/protocol/test_edges.py",
     ),
     "protocol/rsi/telegram_writer.py": (
         "tests/protocol/test_wires_transcript.py",
         "tests/protocol/test_corners.py",
         "tests/protocol/test_codec.py",
+        "tests/protocol/test_rsi_configuration.py",
     ),
     "protocol/sensors/camera_codec.py": (
         "tests/protocol/test_wires_transcript.py",
