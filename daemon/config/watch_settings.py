@@ -44,7 +44,8 @@ class WatchSettings:
         follow_s: longest delay of the robot behind its commands [s].
         follow_tolerance: largest distance to the commands of that time [rad, m].
         cycles_astray: cycles in a row with a following error before it is a fault (drives off).
-        longest_hold_s: longest HOLD before a fault [s].
+        longest_hold_s: longest HOLD before a fault [s]. For as long after a fault by a lost link an
+            object that comes near makes the tool withdraw.
         longest_retreat_s: longest RETREAT before a fault [s].
         longest_home_s: longest way home before a fault [s].
         in_sync_tolerance: largest distance of the commanded tcp from the sensed one at which the

@@ -25,6 +25,7 @@ OnTransition = Callable[[Machine, Signals, Machine], None]
 SETTLED = 0.3  # a retreat is over when no axis is quicker [rad/s, m/s]; it may follow the object
 BRAKING = 1.0  # least deceleration of a tool that stops [m/s^2]
 LEADING_S = 0.12  # a stopping tool follows its plan for this time: commands lead, jerk is limited
+STANDING = 0.01  # speed up to which an object stands [m/s]
 SETTLING = "the robot has not come to rest yet since its programme began"
 NEAR = frozenset({State.TRACK, State.HOLD, State.RETREAT})
 """States in which it matters what a stop would leave between tool and object."""
@@ -262,7 +263,7 @@ class Operating:
             wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
-            gap_m=gap_after_stop(last, period) if state in NEAR else None,
+            gap_m=_gap(last, period, state),
             following_error=situation.following_error is not None,
             ready=last.ready is None and not situation.settling,
             object_left=last.object_left,
@@ -299,6 +300,12 @@ def max_axis_speed(before: Outputs, now: Outputs, period: float) -> float:
     """Return the speed of the fastest axis from one step to the next [rad/s, m/s]."""
     moved = zip(before.command, now.command, strict=True)
     return max(abs(b - a) for a, b in moved) / period
+
+
+def _gap(now: Outputs, period: float, state: State) -> float | None:
+    """Return what a stop leaves between tool and object [m], None while it is of no matter."""
+    approaches = state is State.FAULT and abs(now.speed or 0.0) > STANDING
+    return gap_after_stop(now, period) if approaches or state in NEAR else None
 
 
 def gap_after_stop(now: Outputs, period: float) -> float | None:

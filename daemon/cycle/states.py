@@ -325,7 +325,7 @@ TABLE: tuple[Row, ...] = (
     Row(
         FAULT,
         RETREAT,
-        "the link is back in contact",
+        "contact after a lost link",
         lambda s, _: s.contact and s.link is not Link.LOST and not s.expired,
     ),
     Row(

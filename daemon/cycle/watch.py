@@ -18,6 +18,7 @@ OPERATIONS = ("arm", "start", "stop", "retreat", "ack", "home", "follow")
 
 NEAR_S = 1.0  # after a fault near the object in which the tool is withdrawn by itself [s]
 IN_CONTACT = frozenset({State.CONTACT, State.RETREAT})
+TASK = frozenset({State.TRACK, State.CONTACT, State.RETREAT, State.HOLD})
 
 
 class Facts(Struct, frozen=True):
@@ -36,7 +37,8 @@ class Facts(Struct, frozen=True):
         wrench_ns: arrival of the newest force [ns], or None.
         wrench_expected: there is a force-torque sensor.
         contradicted: the sensors of the position contradict each other.
-        gap_m: that a stop would leave between tool and object [m]; None while it is not seen.
+        gap_m: that a stop would leave between tool and object [m]; None while it is not seen, and
+            in FAULT while the object stands.
         following_error: an axis is beyond the tolerance of its commands.
         clamped: a retreat waits for the clamp to open.
         closing: the tool is so near to its touch that a wait cannot prevent it any more.
@@ -88,6 +90,7 @@ class Watch(Struct, frozen=True):
         contact, overload, following_error: cycles in a row that showed it.
         near: the tool was so near to the object, in motion or as that ended in the present fault,
             that it has to be withdrawn.
+        interrupted: the present fault is a lost link that ended a motion of the task.
         state: the operating state as last seen.
         since_ns: when it was entered [ns].
     """
@@ -101,6 +104,7 @@ class Watch(Struct, frozen=True):
     overload: int = 0
     following_error: int = 0
     near: bool = False
+    interrupted: bool = False
     state: State = State.INIT
     since_ns: int = 0
 
@@ -156,6 +160,7 @@ def _count(watch: Watch, facts: Facts, state: State, settings: WatchSettings) ->
         overload=watch.overload + 1 if facts.overload else 0,
         following_error=watch.following_error + 1 if facts.following_error else 0,
         near=_is_near(watch, facts, state, settings),
+        interrupted=_is_interrupted(watch, facts, state, link),
         state=state,
         since_ns=watch.since_ns if state is watch.state else facts.stamp_ns,
     )
@@ -167,6 +172,27 @@ def _is_near(watch: Watch, facts: Facts, state: State, settings: WatchSettings) 
         return watch.near and not facts.new_session
     moves = state in {State.TRACK, State.RETREAT}
     return moves and facts.gap_m is not None and facts.gap_m < settings.near_m
+
+
+def _is_interrupted(watch: Watch, facts: Facts, state: State, link: Link) -> bool:
+    """Return whether a lost link ended a motion of the task, whose programme goes on."""
+    if facts.new_session:
+        return False
+    if state is State.FAULT:
+        return watch.interrupted
+    return state in TASK and link is Link.LOST
+
+
+def _is_approached(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
+    """Return whether an object that moves comes near a tool that a lost link has stopped.
+
+    Only a link that has proven itself again counts, and only a robot that does what it is sent to.
+    """
+    if watch.state is not State.FAULT or not watch.interrupted or facts.gap_m is None:
+        return False
+    is_seen = _age_s(facts.position_ns, facts.stamp_ns) <= settings.position_s
+    is_led = watch.link is Link.HEALTHY and not (facts.fault or watch.following_error)
+    return is_seen and is_led and facts.gap_m < settings.near_m
 
 
 def largest_leak_ns(settings: WatchSettings, state: State) -> int:
@@ -207,11 +233,13 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     fault = facts.fault or watch.following_error >= settings.cycles_astray
     trouble = fault or "stop" in facts.orders or watch.link is not Link.HEALTHY
     trouble = trouble or facts.object_left or not (position_fresh and wrench_fresh)
-    near = facts.gap_m is not None and facts.gap_m < settings.near_m
     # A stop this near to the object would end in contact. So does a hold as the object goes on.
     trouble = trouble or watch.state is State.HOLD
-    contact = watch.contact >= settings.cycles_of_contact or (near and trouble)
-    contact = contact or (watch.near and watch.state is State.FAULT)
+    if watch.state is State.FAULT:
+        is_at_object = watch.near or _is_approached(watch, facts, settings)
+    else:
+        is_at_object = trouble and facts.gap_m is not None and facts.gap_m < settings.near_m
+    contact = is_at_object or watch.contact >= settings.cycles_of_contact
     return _seen(
         watch.link,
         position_fresh,
@@ -252,11 +280,8 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
     lasted_s = _age_s(watch.since_ns, facts.stamp_ns)
     if watch.state is State.HOLD:
         return lasted_s > settings.longest_hold_s
-    if watch.state is State.FAULT and (facts.contact or watch.near):
-        # A tool may be withdrawn by itself only soon after the fault, and from where it rests. One
-        # that is not clamped must be gone sooner: someone may come near.
-        late = lasted_s > (settings.longest_retreat_s if facts.contact else NEAR_S)
-        return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
+    if watch.state is State.FAULT:
+        return _is_too_late(watch, facts, settings, lasted_s)
     if watch.state is State.HOME:
         return lasted_s > settings.longest_home_s
     if watch.state is not State.RETREAT:
@@ -266,6 +291,20 @@ def _expired(watch: Watch, facts: Facts, settings: WatchSettings) -> bool:
         # prediction is good for the clamp's own time-out, not for longer.
         return facts.overdue and _is_blind(facts, settings)
     return lasted_s > settings.longest_retreat_s
+
+
+def _is_too_late(watch: Watch, facts: Facts, settings: WatchSettings, lasted_s: float) -> bool:
+    """Return whether a tool in FAULT may not be withdrawn by itself any more, or not yet.
+
+    It may only from where it rests. One that is not clamped must be gone sooner: someone may come
+    near. One that an object comes near is withdrawn for as long as from a HOLD.
+    """
+    if _is_approached(watch, facts, settings):
+        return facts.settling or lasted_s > settings.longest_hold_s
+    if not (facts.contact or watch.near):
+        return False
+    late = lasted_s > (settings.longest_retreat_s if facts.contact else NEAR_S)
+    return facts.settling or late or (facts.overdue and _is_blind(facts, settings))
 
 
 def _is_blind(facts: Facts, settings: WatchSettings) -> bool:

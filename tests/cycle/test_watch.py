@@ -325,3 +325,56 @@ def test_a_fault_of_a_robot_that_did_not_track_withdraws_nothing() -> None:
     run.cycle(gap_m=0.01)
     run.machine = Machine(State.FAULT, latched=True)
     assert not run.cycle().contact
+
+
+def approached(run: Run, seconds: float, **facts: Any) -> Signals:
+    """Return the signals when an object has come near, some time after the fault."""
+    for _ in range(SETTINGS.healthy_cycles):
+        run.cycle()
+    run.now_ns += round(seconds * 1e9)
+    seen = {"gap_m": 0.029, "position_ns": run.now_ns + CYCLE_NS, **facts}
+    return run.cycle(**seen)
+
+
+@pytest.mark.parametrize("state", [State.TRACK, State.CONTACT, State.RETREAT, State.HOLD])
+def test_an_object_that_comes_near_a_tool_stopped_by_a_lost_link_makes_it_withdraw(
+    state: State,
+) -> None:
+    for seconds, gap_m, withdrawn in ((59.0, 0.029, True), (0.0, 0.031, False), (0.0, None, False)):
+        signals = approached(lost_in_motion(None, state), seconds, gap_m=gap_m)
+        assert (signals.contact, signals.expired) == (withdrawn, False)
+
+
+@pytest.mark.parametrize(
+    "trouble", [{"position_ns": None}, {"following_error": True}, {"fault": True}]
+)
+def test_nothing_is_withdrawn_unseen_or_by_a_robot_that_does_not_do_what_it_is_sent_to(
+    trouble: dict[str, Any],
+) -> None:
+    assert approached(lost_in_motion(None), 5.0).contact
+    assert not approached(lost_in_motion(None), 5.0, **trouble).contact
+
+
+def test_no_tool_is_withdrawn_long_after_its_fault_nor_while_the_robot_settles() -> None:
+    assert approached(lost_in_motion(None), SETTINGS.longest_hold_s).expired
+    assert approached(lost_in_motion(None), 5.0, settling=True).expired
+
+
+def test_a_link_that_is_not_proven_again_or_a_new_programme_withdraws_nothing() -> None:
+    near: dict[str, Any] = {"gap_m": 0.029}
+    unproven = lost_in_motion(None)
+    assert not unproven.cycle(position_ns=unproven.now_ns, **near).contact
+    restarted = lost_in_motion(None)
+    restarted.cycle(new_session=True)
+    assert not approached(restarted, 0.0).contact
+
+
+@pytest.mark.parametrize("state", [State.IDLE, State.HOME, State.FOLLOW])
+def test_a_lost_link_outside_the_task_withdraws_nothing(state: State) -> None:
+    assert not approached(lost_in_motion(None, state), 0.0).contact
+
+
+def test_a_fault_without_a_lost_link_withdraws_nothing() -> None:
+    run = Run(State.HOLD).healthy()
+    run.machine = Machine(State.FAULT, latched=True)
+    assert not approached(run, 0.0).contact

@@ -183,7 +183,7 @@ def judged(trouble: str, lost_s: float, cycle_ms: CycleMs, seed: int) -> Unatten
     )
     run.live()
     assert run.outcome().violations == ()
-    assert run.seen[-2][1] == "the link is back in contact"
+    assert run.seen[-2][1] == "contact after a lost link"
     assert run.world.collision is None
     assert run.force_n < FORCE_N
     released_s = run.world.released_s

@@ -1,10 +1,11 @@
-"""A tool that holds next to an object that goes on: it withdraws before the object reaches it."""
+"""A tool that stands next to an object that goes on withdraws before the object reaches it."""
 
 from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
 from linemate.simulators.judge.rows import STATES
 
 FROZEN = "scenario.faults=[{at_s: 9.0, link: force_torque, kind: stuck, duration_s: 1.0}]"
+DEAF = "scenario.faults=[{at_s: 7.0, link: robot, kind: deafness, duration_s: 0.13}]"
 
 
 def test_a_hold_ends_in_a_retreat_as_the_object_passes_the_tool() -> None:
@@ -15,3 +16,12 @@ def test_a_hold_ends_in_a_retreat_as_the_object_passes_the_tool() -> None:
     # A tool that stands there is hit by the body that the restarted conveyor moves on.
     assert judge(evidence)["outcome"] == "retreated"
     assert "contact" not in states
+
+
+def test_a_fault_whose_link_is_back_ends_in_a_retreat_as_the_object_passes_the_tool() -> None:
+    evidence = lockstep.run(setup.make("plant-floor", [DEAF]), 100)
+    ways = [(change.before, change.after) for change in evidence.changes]
+    # The fault stays latched: the tool withdraws once, and waits for its acknowledgement.
+    assert ways[-3:] == [("hold", "fault"), ("fault", "retreat"), ("retreat", "fault")]
+    assert evidence.collision is None
+    assert judge(evidence)["outcome"] == "fault"
