@@ -12,6 +12,7 @@ import numpy as np
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.merge import ALONG
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile, WaypointFrame
 from linemate.daemon.core.tracking.touch.touch_profile import (
     NO_TIPS,
@@ -23,7 +24,7 @@ from linemate.daemon.core.tracking.touch.touch_profile import (
 )
 from linemate.protocol.stamped_samples import Quaternion
 
-STANDING_ACCELERATION = 0.5  # at most, of a tool whose programme stands [m/s^2]
+STANDING_ACCELERATION = 0.5  # at most, with the object and of its own, of a tool at a stand [m/s^2]
 SHORTEST_STANDING_S = 0.2  # in which it comes to rest [s]
 
 
@@ -135,20 +136,26 @@ class Reference:
         return min(max(bisect_right(self.starts, time) - 1, 0), len(self.starts) - 1)
 
     def way_on(self, time: float, stood: Array) -> Array:
-        """Return how far the tool goes on with the nominal object (m,) while the clock stands [m].
+        """Return how far the tool goes on (m, 6) while the clock stands [m, rad].
 
-        It comes to rest with ``STANDING_ACCELERATION`` at most. A programme that stood at once had
-        a corner in its speed, and shook the tool with 390 N at 106 mm/s.
+        It comes to rest with bounded accelerations, and its own motion not beyond the stretch's
+        end. A programme that stood at once had a corner in its speed, and shook the tool with
+        390 N at 106 mm/s.
 
         Args:
             time: at which the clock stands [s].
             stood: (m,) for how long [s].
         """
-        i, at = self._segment(time), np.array([time])
-        speed = self.speed * float(self._travelling(i, self._progress(i, at))[0])
-        lasts = max(1.875 * abs(speed) / STANDING_ACCELERATION, SHORTEST_STANDING_S)
-        u = np.minimum(stood / lasts, 1.0)
-        way: Array = speed * lasts * (u - u**4 * (2.5 + u * (u - 3.0)))
+        i = self._segment(time)
+        at = np.array([time, min(time + 1e-3, self.times[i + 1]), self.times[i + 1]])
+        travel = self.speed * float(self._travelling(i, self._progress(i, at[:1]))[0])
+        points, _ = self._within(i, at)
+        points[:, ALONG] -= travel * (at - time)  # what is left is the tool's own motion
+        own = (points[1] - points[0]) / max(at[1] - time, 1e-9)
+        speed, left = (float(np.linalg.norm(d[:3])) for d in (own, points[2] - points[0]))
+        lasts = min(1.875 * speed / STANDING_ACCELERATION, 2.0 * left / max(speed, 1e-9))
+        way: Array = _run_out(lasts, stood)[:, None] * own
+        way[:, ALONG] += travel * _run_out(1.875 * abs(travel) / STANDING_ACCELERATION, stood)
         return way
 
     def _progress(self, i: int, times: Array) -> Array:
@@ -179,6 +186,19 @@ class Reference:
         poses[:, :3] += share[:, None] * self.origin
         poses[:, 1] += share * way
         return poses, relative
+
+
+def _run_out(lasts: float, stood: Array) -> Array:
+    """Return what a speed of 1 adds up to (m,) while it falls to 0 without a corner [s].
+
+    Args:
+        lasts: in which it falls, if that is not too short [s].
+        stood: (m,) for how long it falls already [s].
+    """
+    lasts = max(lasts, SHORTEST_STANDING_S)
+    u = np.minimum(stood / lasts, 1.0)
+    way: Array = lasts * (u - u**4 * (2.5 + u * (u - 3.0)))
+    return way
 
 
 def compile_reference(task: TaskFile, tips: BoltTips = NO_TIPS) -> Reference:

@@ -6,6 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking import merge
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
 )
@@ -154,6 +155,8 @@ def advance_clock(
     """Return the state with the task's clock one step later, unless a gate stops it."""
     T0 = tracker.cycle_s
     tool, passed = tracker.task.tool, open_gates(tracker, state, view, samples)
+    # A robot that got no commands rests already.
+    rests = state.stood > 0.0 or state.releasing is not None
     if retreat and state.releasing is None and not state.contact:
         state = _set_back(tracker, state)
     if state.releasing is None:
@@ -180,8 +183,7 @@ def advance_clock(
         blended += T0
     elif time > 0.0 and state.transverse is not None:
         blended = 0.0
-    # A retreat stands at once, but goes on coming to rest where the clock stood already.
-    stands = time == state.time and (not retreat or state.clock_stood > 0.0)
+    stands = time == state.time and (not (retreat and rests) or state.clock_stood > 0.0)
     clock_stood, carried = _standing(tracker, state, stands=stands)
     screwing = time >= tool.fix_screws and not retreat and _is_pressed(tracker, state)
     releasing = time >= tool.release_wheel
@@ -204,7 +206,7 @@ def _standing(tracker: Tracker, state: TrackerState, *, stands: bool) -> tuple[f
     if state.clock_stood <= 0.0:
         return 0.0, state.carried
     way = tracker.reference.way_on(state.time, np.array([state.clock_stood]))
-    return 0.0, state.carried + float(way[0])
+    return 0.0, state.carried + float(way[0, merge.ALONG])
 
 
 def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float | None:

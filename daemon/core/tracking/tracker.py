@@ -242,7 +242,7 @@ def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) 
     goal[:, merge.ALONG] += state.carried
     if limit < math.inf:
         stood = state.clock_stood + np.maximum(tracker.span - before, 0.0)
-        goal[:, merge.ALONG] += tracker.reference.way_on(limit, stood)
+        goal += tracker.reference.way_on(limit, stood)
     return goal
 
 

@@ -110,14 +110,30 @@ def test_the_motion_has_no_corner_anywhere() -> None:
 def test_a_tool_whose_clock_stands_comes_to_rest_without_a_corner() -> None:
     fine, at = np.arange(-0.02, 1.0, 0.001), 2.796
     poses, _ = REFERENCE.poses(at + np.minimum(fine, 0.0))
-    speed = np.diff(poses[:, 1] + REFERENCE.way_on(at, np.maximum(fine, 0.0))) / 0.001
+    speed = np.diff(poses[:, 1] + REFERENCE.way_on(at, np.maximum(fine, 0.0))[:, 1]) / 0.001
     assert speed[0] == pytest.approx(SPEED, rel=0.01)
     assert speed[-1] == pytest.approx(0.0)
     assert np.abs(np.diff(speed)).max() < 0.001 * 1.001 * STANDING_ACCELERATION
 
 
+@pytest.mark.parametrize("at", [0.3, 0.996, 1.4, 1.8, 2.2, 2.6])
+def test_a_tool_on_its_way_to_a_waypoint_comes_to_rest_before_it_without_a_corner(
+    at: float,
+) -> None:
+    fine = np.arange(-0.02, 1.5, 0.001)
+    poses = REFERENCE.poses(at + np.minimum(fine, 0.0))[0] + REFERENCE.way_on(at, fine.clip(0.0))
+    speeds = np.diff(poses[:, :3], axis=0) / 0.001
+    assert (
+        np.linalg.norm(np.diff(speeds, axis=0), axis=1).max() < 0.001 * 2.0 * STANDING_ACCELERATION
+    )
+    assert np.linalg.norm(speeds[-1]) < 1e-9
+    end = REFERENCE.poses(np.array([min(t for t in REFERENCE.times if t > at)]))[0][0]
+    # Towards the object, along z, it stays on its own side of the waypoint.
+    assert poses[:, 2].max() < end[2] + 0.0005
+
+
 def test_a_tool_that_does_not_travel_yet_stands_at_once() -> None:
-    assert not REFERENCE.way_on(0.0, np.array((0.0, 0.5, 9.0))).any()
+    assert np.abs(REFERENCE.way_on(0.0, np.array((0.0, 0.5, 9.0)))).max() < 1e-7
 
 
 def test_before_and_after_its_ends_the_programme_stays_with_them() -> None:
