@@ -111,6 +111,7 @@ def test_a_camera_that_hangs_crooked_and_stamps_late_is_found_out() -> None:
     assert result.stamp_error.deviation < 0.002
 
 
+@pytest.mark.row
 def test_deviations_hold_for_a_camera_whose_errors_last_half_a_second() -> None:
     crooked = (0.004, -0.003, 0.005, 0.006, -0.004, 0.008)
     offs = []
