@@ -328,7 +328,7 @@ def _plan(axis: Axis, omega: float, step: float, substeps: int) -> tuple[tuple[_
     rest = axis.dead_time_s - whole * step
     if rest < _TINY:
         rest = 0.0
-    phi = solved(omega, axis.damping, step)
+    phi: Transition | None = None
     plan: list[tuple[_Piece, ...]] = []
     for part in range(substeps):
         cycle, offset = divmod(part - whole, substeps)
@@ -338,6 +338,8 @@ def _plan(axis: Axis, omega: float, step: float, substeps: int) -> tuple[tuple[_
             first = _Piece(1 - cycle, substeps * step - rest, rest, before)
             plan.append((first, _Piece(-cycle, 0.0, left, behind)))
         else:
+            # A cycle of one substep is cut in each of them.
+            phi = phi or solved(omega, axis.damping, step)
             plan.append((_Piece(-cycle, offset * step - rest, step, phi),))
     return tuple(plan)
 

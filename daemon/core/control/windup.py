@@ -107,18 +107,16 @@ def _led(
     """Return one motor's positions for its link's, and its hysteresis at the second of them."""
     x, w = at
     led, later = [wanted[0] + depth * w], at
+    # A tenth of a step's calls were in this loop: ``turned`` and ``min`` are written out.
     for q in wanted[1:]:
         way = q + depth * w - x
+        end = 1.0 if way > 0.0 else -1.0
         # The motor has to go farther than the link by what winds up on the way.
-        slope = depth * (1.0 - math.copysign(w, w * way)) / travel
-        way /= 1.0 - min(slope, LARGEST_SLOPE)
-        # ``turned``, written out: these are most of its calls.
-        if way > JITTER:
-            way -= JITTER
-            x, w = x + way, 1.0 + (w - 1.0) * math.exp(-way / travel)
-        elif way < -JITTER:
-            way += JITTER
-            x, w = x + way, -1.0 + (w + 1.0) * math.exp(way / travel)
+        slope = depth * (1.0 - end * w) / travel
+        slope = slope if slope < LARGEST_SLOPE else LARGEST_SLOPE  # noqa: FURB136
+        taken = end * way / (1.0 - slope) - JITTER
+        if taken > 0.0:
+            x, w = x + end * taken, end + (w - end) * math.exp(-taken / travel)
         if len(led) == 1:
             later = x, w
         led.append(q + depth * w)

@@ -589,13 +589,15 @@ def _sensed_poses(
         return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
     filtered = tracker.transverse
     estimate = filtered.believed(estimate)
+    swing = filtered.swing_angles(estimate, ahead)
+    if added.any():  # zeros in contact, a third of a task
+        swing += filtered.driven_angles(estimate, ahead, added)
     part = approach.Part(
         x=float(estimate.x[0]),
         z=float(estimate.x[1]),
         along=along,
         rotation=estimate.rotation,
-        swing=filtered.swing_angles(estimate, ahead)
-        + filtered.driven_angles(estimate, ahead, added),
+        swing=swing,
         slopes=filtered.slopes(estimate),
     )
     return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)

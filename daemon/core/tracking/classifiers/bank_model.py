@@ -294,19 +294,20 @@ class BankModel:
 
     def transition(self, state: BankState, dt: float) -> Array:
         """Return A (15, 15) of (5), linearised in the errors of the frequencies."""
-        time = self.random_ripple(state)[1]
+        time, x = self.random_ripple(state)[1], state.x.tolist()
         F = _fixed_transition(dt, time, state.impulse_omega, self.impulse.damping).copy()
-        angle = self.ripple_rate(state) * dt
+        rate = self.ripple_omega(state) * self.speed_share(x[V])
+        angle = rate * dt
         way = angle / state.ripple_factor
         c, s = math.cos(angle), math.sin(angle)
-        ripple, quadrature = state.x[RIPPLE:FREQUENCY].tolist()
-        F[OFFSET, SLIP] = float(state.x[V]) * dt
+        ripple, quadrature = x[RIPPLE], x[RIPPLE_QUADRATURE]
+        F[OFFSET, SLIP] = x[V] * dt
         F[RIPPLE, RIPPLE] = F[RIPPLE_QUADRATURE, RIPPLE_QUADRATURE] = c
         F[RIPPLE, RIPPLE_QUADRATURE], F[RIPPLE_QUADRATURE, RIPPLE] = s, -s
         F[RIPPLE, FREQUENCY] = way * (c * quadrature - s * ripple)
         F[RIPPLE_QUADRATURE, FREQUENCY] = -way * (c * ripple + s * quadrature)
         if state.sway_omega:
-            self._set_sway(F, state, dt)
+            self._set_sway(F, state, x, rate**2, dt)
         return F
 
     def holds_pace(self, state: BankState) -> bool:
@@ -323,35 +324,29 @@ class BankModel:
         """Return the pole of the sway [1/s]."""
         return state.sway_omega * complex(-self.sway.damping, 1.0)
 
-    def _set_sway(self, F: Array, state: BankState, dt: float) -> None:
-        """Set the rows of the sway in A: it turns, and the unit's acceleration forces it."""
-        omega, pole, values = state.sway_omega, self.sway_pole(state), state.x.tolist()
+    def _set_sway(
+        self, F: Array, state: BankState, x: list[float], stiffness: float, dt: float
+    ) -> None:
+        """Set the rows of the sway in A: it turns, and the unit's acceleration forces it.
+
+        Args:
+            stiffness: how much the unit accelerates against its ripple, for each metre [1/s^2].
+        """
+        omega, pole = state.sway_omega, self.sway_pole(state)
         turn = cmath.exp(pole * dt)
         c, s = turn.real, turn.imag
         forced = (1j / omega) * (turn - 1.0) / pole
-        sway, quadrature, gain, way = (
-            values[SWAY],
-            values[SWAY_QUADRATURE],
-            values[GAIN],
-            omega * dt,
-        )
-        a = self.unit_acceleration(state)
+        sway, quadrature, gain, way = x[SWAY], x[SWAY_QUADRATURE], x[GAIN], omega * dt
+        a, of_ripple = x[ACCELERATION] - stiffness * x[RIPPLE], gain * stiffness
         F[SWAY, SWAY] = F[SWAY_QUADRATURE, SWAY_QUADRATURE] = c
         F[SWAY, SWAY_QUADRATURE], F[SWAY_QUADRATURE, SWAY] = s, -s
         F[SWAY, ACCELERATION] = gain * forced.real
         F[SWAY_QUADRATURE, ACCELERATION] = -gain * forced.imag
-        of_ripple = gain * self._ripple_stiffness(state)
-        F[SWAY, RIPPLE], F[SWAY_QUADRATURE, RIPPLE] = (
-            -of_ripple * forced.real,
-            of_ripple * forced.imag,
-        )
+        F[SWAY, RIPPLE] = -of_ripple * forced.real
+        F[SWAY_QUADRATURE, RIPPLE] = of_ripple * forced.imag
         F[SWAY, GAIN], F[SWAY_QUADRATURE, GAIN] = a * forced.real, -a * forced.imag
         F[SWAY, PACE] = way * (c * quadrature - s * sway)
         F[SWAY_QUADRATURE, PACE] = gain * a * dt / omega - way * (c * sway + s * quadrature)
-
-    def _ripple_stiffness(self, state: BankState) -> float:
-        """Return how much the unit accelerates against its ripple, for each metre of it [1/s^2]."""
-        return self.ripple_rate(state) ** 2
 
     def unit_acceleration(self, state: BankState) -> float:
         """Return the acceleration of the conveyor's unit, by class and periodic ripple [m/s^2].
@@ -359,7 +354,7 @@ class BankModel:
         A chain or a drive excites the body's sway long before the first stop, often near its own
         frequency. That shows the gain with which a stop will excite it.
         """
-        ripple = self._ripple_stiffness(state) * float(state.x[RIPPLE])
+        ripple = self.ripple_rate(state) ** 2 * float(state.x[RIPPLE])
         return float(state.x[ACCELERATION]) - ripple
 
     def advanced(self, state: BankState, F: Array, dt: float) -> Array:
