@@ -308,6 +308,9 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
+        waits_for_nothing = is_answered and self._rest.is_between_looks(stamp_ns)
+        if self.cycle.is_resting and not waits_for_nothing:
+            self._follow()  # the newest of those that waited for nothing
         self.cycle.session.turnaround_ns = self._robot.turnaround_ns or 0
         prepared, decision = self.cycle.prepared, self.cycle.decision
         try:
@@ -319,15 +322,14 @@ class App:
             return None
         if reply is None:
             return None
-        self._failing_ns = None
-        self._telegram_ns = self._timer.lock.arrival_ns = stamp_ns
-        if self.cycle.prepared == prepared:
-            if is_answered and self._rest.is_between_looks(stamp_ns):
-                # Nothing but the clock waits for this telegram: a turn of the loop costs 20 us.
-                self._follow()
-                return reply
-            if not self.cycle.is_resting:
-                self._times.note_step(time.monotonic_ns() - began_ns)
+        self._failing_ns, lock = None, self._timer.lock
+        lock.unfollowed += waits_for_nothing and lock.arrival_ns is not None
+        self._telegram_ns = lock.arrival_ns = stamp_ns
+        if waits_for_nothing and self.cycle.is_resting:
+            # Not even the clock: it follows at the next look, which saves a seventh of a rest.
+            return reply
+        if self.cycle.prepared == prepared and not self.cycle.is_resting:
+            self._times.note_step(time.monotonic_ns() - began_ns)
         self._call_after_reply()
         return reply
 

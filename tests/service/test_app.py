@@ -325,6 +325,36 @@ def test_a_robot_that_stands_idle_is_answered_without_steps_until_someone_connec
     run(main())
 
 
+@repeated_when_delayed
+def test_between_the_looks_of_a_rest_the_clock_follows_no_telegram_and_counts_each(
+    serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app_module, "REST_AFTER_S", 0.1)
+    followed: list[int] = []
+
+    async def main() -> None:
+        async with serve() as running:
+            controller, lock = running.controller(task), running.app._timer.lock
+            await controller.cycles(140)
+            await controller.answers(140)
+            assert running.app.cycle.is_resting
+            follow = lock.follow
+
+            def count(stamp_ns: int, cycles: int, **how: Any) -> None:
+                followed.append(cycles)
+                follow(stamp_ns, cycles, **how)
+
+            followed.clear()
+            monkeypatch.setattr(lock, "follow", count)
+            await controller.cycles(60)
+            await controller.answers(200)
+            assert len(followed) < 30
+            assert 50 <= sum(followed) + lock.unfollowed <= 65
+            assert lock.estimate.measured_ns == pytest.approx(1e9 * CYCLE_S, rel=0.02)
+
+    run(main())
+
+
 def test_a_daemon_that_someone_is_connected_to_does_not_rest(
     serve: Serve, task: Task, monkeypatch: pytest.MonkeyPatch
 ) -> None:
