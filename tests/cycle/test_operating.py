@@ -2,6 +2,7 @@
 
 import pytest
 from cell import World, parameters
+from msgspec import structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.step import Outputs
@@ -45,3 +46,24 @@ def test_a_camera_that_contradicts_ends_no_contact_and_no_retreat(
 
 def test_a_motion_that_its_programme_alone_leads_needs_no_pose_that_fits(last: Outputs) -> None:
     assert not is_contradicted(last, State.IDLE, refused=CONTRADICTIONS, sensed=False)
+
+
+@pytest.mark.parametrize(
+    ("state", "speed", "is_seen"),
+    [
+        (State.HOLD, 0.0, True),
+        (State.FAULT, 0.106, True),
+        (State.FAULT, 0.005, False),
+        (State.FAULT, None, False),
+        (State.IDLE, 0.106, False),
+    ],
+)
+def test_in_a_fault_the_gap_to_an_object_counts_only_while_it_moves(
+    last: Outputs, state: State, speed: float | None, is_seen: bool
+) -> None:
+    operating = Operating(WatchSettings(), 0.012, wrench_expected=False)
+    operating.machine = Machine(state)
+    seen = structs.replace(last, speed=speed, part=last.target)
+    situation = Situation(seen, None, None, settling=False, sensed=True)
+    facts = operating._facts(NOW_NS, SensorQueues(), situation, telegram=True)
+    assert (facts.gap_m is not None) is is_seen

@@ -4,6 +4,8 @@ Invariants:
     Each acts once a cycle and knows only the daemon's answers.
 """
 
+import math
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 from msgspec.structs import replace
@@ -18,13 +20,15 @@ from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
 from linemate.simulators.plants.contact_plant import RELEASE_WHEEL
-from linemate.simulators.plants.scenario import Vector7
+from linemate.simulators.plants.scenario import Axis, Vector7
 from linemate.simulators.plants.world import World
 
 HOMING_S = 0.5
 HOMING_SPEED = 0.8
 """How the programme drives the robot to its rest pose, without RSI: for so long at least [s], an
 axis at so much in the mean at most [rad/s, m/s]; it is not charged to the daemon's time."""
+HOMING_SHARE = 0.7
+"""Of what its servo can accelerate, at most: a rail that was asked for more rang for 2 s."""
 OPENING_S = 0.5
 """For which it stands before that while its clamp opens [s]; the clamp needs 0.3 s."""
 HOME_EVERY = 3
@@ -64,6 +68,16 @@ class SimulatedRun(Protocol):
     @property
     def host_ns(self) -> int:
         """Time of the daemon's host [ns]."""
+
+
+def homing_time(ways: Sequence[float], axes: Sequence[Axis]) -> float:
+    """Return how long a programme takes for some ways [rad, m] of its axes [s]."""
+    steepest = 10.0 / math.sqrt(3.0)  # acceleration of a quintic over a way of 1 in a time of 1
+    least_s = [
+        math.sqrt(steepest * way / (HOMING_SHARE * axis.acceleration_limit))
+        for way, axis in zip(ways, axes, strict=True)
+    ]
+    return max(HOMING_S, max(ways) / HOMING_SPEED, *least_s)
 
 
 class Programme:
@@ -122,8 +136,8 @@ class Programme:
             world.digital_out(RELEASE_WHEEL)
             opening_s = OPENING_S
         self._from, self._pose = robot_program.standing(self._controller), self._plant.start
-        way = max(abs(a - b) for a, b in zip(self._from, self._pose, strict=True))
-        self._took_s = max(HOMING_S, way / HOMING_SPEED)
+        ways = [abs(a - b) for a, b in zip(self._from, self._pose, strict=True)]
+        self._took_s = homing_time(ways, world.scenario.robot.axes)
         self._paused_until_s = now_s + opening_s + self._took_s
         self.homing_s += opening_s + self._took_s
 
@@ -242,10 +256,12 @@ class Operator:
         app = simulation.app
         if simulation.is_stalled or simulation.robot.is_paused or app is None:
             return
-        quiet = now_s >= simulation.plan.quiet_s
+        # A robot that tracked before its controller broke the exchange off has to track again.
+        quiet_s = max(simulation.plan.quiet_s, simulation.robot.quiet_s)
+        quiet = now_s >= quiet_s
         if self._started and not (quiet or simulation.plan.eager):
             return
-        if quiet and simulation.tracked_s >= simulation.plan.quiet_s > float("-inf"):
+        if quiet and simulation.tracked_s >= quiet_s > float("-inf"):
             return
         self._act(now_s, app)
 
