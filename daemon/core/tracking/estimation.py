@@ -60,6 +60,8 @@ _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
 DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
 SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after it or later [s]
+NO_FORCE = (0.0, 0.0, 0.0)
+UNHELD = (0.0, 0.0)  # bolts in their holes have shown nothing yet
 HELD_GATE = 5.0  # of a place that bolts in their holes show [sigma]
 BLIND_S = 0.06  # without a distance for longer than this the object is not seen [s]
 
@@ -139,6 +141,7 @@ def estimate(
         speed=0.0 if view is None else view.speed,
         unit=None if view is None else view.unit,
         held=_held(tracker, state, seen, transverse),
+        leaning=_leaning(tracker, state, wrench),
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
@@ -407,8 +410,13 @@ def _compared(
     transverse = state.transverse
     if state.conveyor is None or transverse is None:
         return state.monitor
+    # A camera whose NIS is less than 1 has less noise than it states.
+    honest = min(transverse.nis, 1.0)
     seen = [
-        tracker.transverse.without_errors(transverse, measured)
+        replace(
+            tracker.transverse.without_errors(transverse, measured),
+            variance=honest * measured.variance,
+        )
         for source, measured, _ in poses
         if source is Source.CAMERA
     ]
@@ -567,9 +575,14 @@ def _correct_held(
     tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
     if tcp is None:
         return transverse
-    place = held_bolts.place(wrench.force, bending.force, tcp, payload, mount, state.distance)
+    mean = held_bolts.averaged(state.leaning, wrench.force, tracker.cycle_s)
+    where = payload, mount, state.distance, mean
+    place = held_bolts.place(wrench.force, bending.force, tcp, *where)
     if place is None:
         return transverse
+    if state.held == UNHELD:
+        # Images have an error of the camera's mount that their number does not make smaller.
+        transverse = tracker.transverse.unsure_across(transverse, held_bolts.MOUNT_DEVIATION)
     delay = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
     held = held_bolts.measured(place, tcp, delay, tracker.cycle_s)
     transverse, is_accepted = tracker.transverse.correct(transverse, held, HELD_GATE)
@@ -593,7 +606,16 @@ def _held(
         x, z = (after.x - before.x)[:2].tolist()
         return state.held[0] + x, state.held[1] + z
     is_near = state.contact or held_bolts.is_entered(tracker.settings.payload, state.distance)
-    return state.held if is_near else (0.0, 0.0)
+    return state.held if is_near else UNHELD
+
+
+def _leaning(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> Vector3:
+    """Return the mean force of bolts in their holes [N], nothing where there are none."""
+    if state.contact or not held_bolts.is_entered(tracker.settings.payload, state.distance):
+        return NO_FORCE
+    if wrench is None:
+        return state.leaning
+    return held_bolts.averaged(state.leaning, wrench.force, tracker.cycle_s)
 
 
 def _pose_measurements(

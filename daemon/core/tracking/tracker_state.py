@@ -159,6 +159,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         speed: of the conveyor, as it was last estimated [m/s].
         unit: position of the conveyor unit then [m], None before.
         held: by what bolts in their holes have moved the estimate of x and z [m].
+        leaning: mean force of bolts in their holes [N].
         go: decision of go or no-go before contact.
         units: past positions of the conveyor unit, as the distance sensor sees it, with their times
             [ns, m].
@@ -227,6 +228,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     speed: float = 0.0
     unit: float | None = None
     held: tuple[float, float] = (0.0, 0.0)
+    leaning: Vector3 = (0.0, 0.0, 0.0)
     go: GoState = GO
     units: tuple[tuple[int, float], ...] = ()
     monitor: PredictionMonitor = NO_PREDICTIONS

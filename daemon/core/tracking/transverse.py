@@ -301,6 +301,12 @@ class Transverse:
         P[Z, Z] += deviation**2
         return replace(state, P=P)
 
+    def unsure_across(self, state: TransverseState, deviation: float) -> TransverseState:
+        """Return the estimate with ``deviation`` [m] added to that of x, and not of its depth."""
+        P = state.P.copy()
+        P[X, X] += deviation**2
+        return replace(state, P=P)
+
     def pushed(self, state: TransverseState) -> TransverseState:
         """Return the estimate of an object that was pushed: how its carrier sways is not known."""
         P = state.P.copy()

@@ -8,6 +8,7 @@ import pytest
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
 from linemate.daemon.core.tracking.touch import held_bolts
+from linemate.protocol.stamped_samples import Vector3
 
 PAYLOAD = PayloadSettings(bolts=0.025, bolt_play=0.0005)
 MOUNT = TactileNoise(stiffness=(50e3, 50e3, 50e3))
@@ -15,10 +16,10 @@ TCP = np.array((0.1, 0.2, 2.0, 0.03, 0.3, 0.2))
 DISTANCE = -0.015
 
 
-def place(*force: float, weight: float = 0.0) -> np.ndarray | None:
+def place(*force: float, weight: float = 0.0, mean: Vector3 = (0.0, 0.0, 0.0)) -> np.ndarray | None:
     contact = np.array(force)
     bending = contact + np.array((weight, 0.0, 0.0))
-    return held_bolts.place(contact, bending, TCP, PAYLOAD, MOUNT, DISTANCE)
+    return held_bolts.place(contact, bending, TCP, PAYLOAD, MOUNT, DISTANCE, mean)
 
 
 def in_tool(found: np.ndarray | None) -> np.ndarray:
@@ -58,6 +59,36 @@ def test_neither_noise_nor_tips_nor_a_face_show_a_place(force: tuple[float, ...]
 
 def test_friction_of_bolts_in_their_holes_is_no_face() -> None:
     assert place(50.0, 0.0, -15.0) is not None
+
+
+def test_bolts_that_lean_on_a_side_show_it_by_their_mean_force() -> None:
+    off = in_tool(place(4.0, 8.0, 0.0, mean=(6.0, 0.0, 0.0)))
+    assert off == pytest.approx((0.00008 + 0.0005, 0.00016, -DISTANCE), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("force", "mean"),
+    [
+        ((6.0, 0.0, 0.0), (4.0, 0.0, 0.0)),  # a tare is wrong by as much
+        ((-3.0, 0.0, 0.0), (6.0, 0.0, 0.0)),  # they have left that side
+        ((6.0, 0.0, -30.0), (6.0, 0.0, -5.0)),  # it is the face's
+    ],
+)
+def test_a_mean_force_shows_a_side_only_while_the_bolts_press_on_it(
+    force: Vector3, mean: Vector3
+) -> None:
+    assert place(*force, mean=mean) is None
+
+
+@pytest.mark.parametrize("cycle_s", [0.004, 0.012])
+def test_a_mean_force_does_not_follow_a_tool_that_rings(cycle_s: float) -> None:
+    mean, largest = (0.0, 0.0, 0.0), 0.0
+    for k in range(round(1.0 / cycle_s)):
+        ringing = 20.0 * math.sin(2.0 * math.pi * 5.0 * k * cycle_s)
+        mean = held_bolts.averaged(mean, np.array((ringing, 0.0, 0.0)), cycle_s)
+        largest = max(largest, abs(mean[0]))
+    assert largest < 1.9 * held_bolts.LEAST_N
+    assert abs(mean[0]) < held_bolts.LEAST_N
 
 
 @pytest.mark.parametrize("cycle_s", [0.004, 0.012])

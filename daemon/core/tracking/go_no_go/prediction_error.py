@@ -30,6 +30,8 @@ FORGOTTEN_NS = 3_000_000_000  # without a compared image, after which the errors
 MOST_ERRORS = 256  # that are kept
 WINDOW_S = 1.0  # errors of this time count [s]
 QUANTILE = 0.9  # of their sizes: a single outlier does not count
+NOISE_SHARE = 1.03  # of an image's variance across in that quantile of medians of three
+LEAST_SHARE = 0.5  # of a squared error across that counts, whatever the images' noise
 DISTANCE_S = 0.15  # time constant of the distance sensor's mean error [s]
 LARGEST_DISTANCE_ERROR = 0.02  # of one reading: more is an outlier [m]
 
@@ -223,31 +225,36 @@ def _compared(
     time_ns = before[-1][0] + min(max(gap_ns, 0), LARGEST_GAP_NS) if before else 0
     oldest = bisect_left(before, (time_ns - round(WINDOW_S * 1e9),))
     errors = (*before[oldest:], (time_ns, (x, y, z, turned)))
-    medians = _medians(medians, errors)
+    medians = _medians(medians, errors, float(measured.variance[0] + measured.variance[1]))
     return LeadMonitor(lead.stamps_ns, lead.poses, lead.along, errors, medians, stamp_ns)
 
 
 def _medians(
-    medians: tuple[Sizes, ...], errors: tuple[tuple[int, Errors], ...]
+    medians: tuple[Sizes, ...], errors: tuple[tuple[int, Errors], ...], noise: float
 ) -> tuple[Sizes, ...]:
     """Return the sizes of the medians of each three errors of a window, of which the last is new.
 
     Args:
         medians: without the new error.
+        noise: variance of its image across the object's axis, x and y together [m^2].
     """
     count = len(errors) - 2
     if count <= 0:
         return ()
     if len(medians) < count - 1:  # the state of an older recording has none
-        return tuple([_median(errors[i : i + 3]) for i in range(count)])
-    return (*medians[len(medians) - count + 1 :], _median(errors[-3:]))
+        return tuple([_median(errors[i : i + 3], noise) for i in range(count)])
+    return (*medians[len(medians) - count + 1 :], _median(errors[-3:], noise))
 
 
-def _median(errors: tuple[tuple[int, Errors], ...]) -> Sizes:
-    """Return the size of the medians of three errors, taken component by component."""
+def _median(errors: tuple[tuple[int, Errors], ...], noise: float) -> Sizes:
+    """Return the size of the medians of three errors, taken component by component.
+
+    What the images' own noise adds across is no error of a prediction.
+    """
     (_, (a, b, c, d)), (_, (e, f, g, h)), (_, (k, m, n, o)) = errors
     x, y = sorted((a, e, k))[1], sorted((b, f, m))[1]
-    return _size((x, y, sorted((c, g, n))[1], sorted((d, h, o))[1]))
+    across, depth, turned = _size((x, y, sorted((c, g, n))[1], sorted((d, h, o))[1]))
+    return max(across - NOISE_SHARE * noise, LEAST_SHARE * across), depth, turned
 
 
 def _size(error: Errors) -> Sizes:

@@ -20,9 +20,13 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
 from linemate.daemon.core.tracking.touch import bolt_search
+from linemate.protocol.stamped_samples import Vector3
 
 ENTERED = 0.003  # least way of the tips behind the object's plane: the error of its depth [m]
 DEVIATION = 0.0003  # sigma of the place to which a pressed side belongs [m]
+MOUNT_DEVIATION = 0.0005  # sigma of the error of a calibrated camera mount [m]
+LEAST_N = 5.0  # mean force across that is one of bolts: more than a tare is wrong by [N]
+MEAN_S = 0.15  # time constant of that mean: the tool rings at 4 Hz or more [s]
 ALIKE_S = 0.1  # in which measurements err alike: the tool stays on a side [s]
 UNKNOWN = 1.0  # variance of what is not measured [m^2, rad^2]
 
@@ -43,6 +47,7 @@ def place(
     payload: PayloadSettings,
     mount: TactileNoise,
     distance: float,
+    mean: Vector3,
 ) -> Array | None:
     """Return the object's place (3,) in c by the force across the tool; None without one.
 
@@ -51,15 +56,29 @@ def place(
         bending: force (3,) that bends the mount: that of the contact, and the weight [N].
         tcp: (6,) undeflected, in c.
         distance: programmed, from the tcp to the object along its z [m].
+        mean: force of the contact, averaged: bolts that lean on a side give less than a touch [N].
     """
     x, y, z = contact.tolist()
     across = math.hypot(x, y)
-    if across < mount.contact_force or abs(z) > mount.contact_force + bolt_search.RUBS * across:
+    if abs(z) > mount.contact_force + bolt_search.RUBS * across:
         return None
+    if across < mount.contact_force:
+        pressed = x * mean[0] + y * mean[1]
+        x, y, _ = mean
+        across = math.hypot(x, y)
+        if across < LEAST_N or pressed < 0.5 * LEAST_N * across:
+            return None
     play = payload.bolt_play / across
     off = bending / np.array(mount.stiffness) + np.array((play * x, play * y, -distance))
     in_nominal: Array = tcp[:3] + rotations.exp(tcp[3:]).dot(off)
     return in_nominal
+
+
+def averaged(mean: Vector3, contact: Array, dt: float) -> Vector3:
+    """Return the mean force of the contact one step later [N]."""
+    gain = dt / MEAN_S
+    x, y, z = (m + gain * (f - m) for m, f in zip(mean, contact.tolist(), strict=True))
+    return x, y, z
 
 
 def measured(place: Array, tcp: Array, delay: float, cycle_s: float) -> PoseMeasurement:

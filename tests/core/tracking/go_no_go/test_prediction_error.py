@@ -63,7 +63,8 @@ def run(
             place = at[:3] + noise * chance.standard_normal(3)
             if chance.random() < outliers:
                 place = place + 0.03
-            measured = PoseMeasurement(place, rotations.exp(at[3:]), DELAY, np.ones(6))
+            variance = np.full(6, noise**2)
+            measured = PoseMeasurement(place, rotations.exp(at[3:]), DELAY, variance)
             monitor = prediction_error.compare_poses(monitor, now_ns, [measured])
     return monitor
 
@@ -114,6 +115,18 @@ def test_single_outliers_and_noise_do_not_count() -> None:
     monitor = run(4.0, noise=0.0003, outliers=0.02)
     for lead in monitor.leads:
         assert lead.lateral < 0.0009
+
+
+@pytest.mark.parametrize("noise", [0.0005, 0.0015])
+def test_noise_of_the_images_is_no_error_of_the_prediction(noise: float) -> None:
+    for lead in run(4.0, noise=noise).leads:
+        assert lead.lateral < noise * 1.2
+
+
+@pytest.mark.parametrize("off", [0.002, 0.003, 0.004])
+def test_a_deviation_is_not_taken_for_noise_of_the_images(off: float) -> None:
+    for lead in run(4.0, seen=lambda _: (off, 0.0, 0.0, 0.0), noise=0.0013).leads:
+        assert lead.lateral > off
 
 
 def test_a_stop_of_the_conveyor_is_no_error_of_the_body() -> None:
@@ -205,7 +218,10 @@ def test_the_error_of_a_window_is_the_quantile_of_its_medians_computed_at_once()
     for lead in noisy.leads:
         errors = np.array([error for _, error in lead.errors])
         medians = np.median((errors[:-2], errors[1:-1], errors[2:]), axis=0)
-        sizes = np.sort(np.hypot(*medians.T[:2])), np.sort(np.abs(medians.T[2]))
+        squared = np.square(medians[:, :2]).sum(axis=1)
+        of_noise = prediction_error.NOISE_SHARE * 2.0 * 0.002**2
+        across = np.sqrt(np.maximum(squared - of_noise, prediction_error.LEAST_SHARE * squared))
+        sizes = np.sort(across), np.sort(np.abs(medians.T[2]))
         place = round(prediction_error.QUANTILE * len(medians))
         assert len(errors) > 20
         assert (lead.lateral, lead.depth) == pytest.approx([size[place] for size in sizes])
@@ -214,7 +230,8 @@ def test_the_error_of_a_window_is_the_quantile_of_its_medians_computed_at_once()
 def test_a_state_without_medians_gives_the_same_errors_after_its_next_image() -> None:
     before = run(4.0, noise=0.002)
     older = [replace(lead, medians=()) for lead in before.leads]
-    image = PoseMeasurement(np.array((0.1, 0.39, 0.5)), np.eye(3), DELAY, np.ones(6))
+    variance = np.full(6, 0.002**2)
+    image = PoseMeasurement(np.array((0.1, 0.39, 0.5)), np.eye(3), DELAY, variance)
     now, bare = (
         prediction_error.compare_poses(each, 4_000_000_000, [image]).leads
         for each in (before, replace(before, leads=tuple(older)))
