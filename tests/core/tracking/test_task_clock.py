@@ -269,3 +269,13 @@ def test_a_clock_that_stands_behind_the_last_step_is_still_judged() -> None:
     assert evidence.zone(tracker, state) is Zone.FINAL
     stands = replace(state, go=GoState(GoOrder.STAND))
     assert evidence.zone(tracker, stands) is Zone.LAST
+
+
+def test_a_retreat_begins_with_the_first_command_that_the_robot_gets() -> None:
+    tracker = compiled()
+    lost = replace(at_rest(tracker, np.zeros(6), 0.0), started=True, time=5.0, stood=0.036)
+    for _ in range(5):
+        lost = task_clock.advance_clock(tracker, lost, None, SAMPLES, retreat=True)
+        assert lost.withdrawn is None
+    heard = task_clock.advance_clock(tracker, replace(lost, stood=0.0), None, SAMPLES, retreat=True)
+    assert heard.withdrawn == 0.0
