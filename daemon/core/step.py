@@ -29,6 +29,7 @@ from linemate.daemon.core.tracking.estimation import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.touch import contact_decision
 from linemate.daemon.core.way_home import HomePath
 from linemate.protocol.stamped_samples import RobotSample
 
@@ -363,7 +364,7 @@ def finish(
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
     tracker = planned.tracker
     if planned.path is None and planned.follow is None:
-        tracker = tracking.update_contact(
+        tracker = contact_decision.update_contact(
             parameters.tracker,
             state.tracker,
             planned.tracker,

@@ -18,10 +18,8 @@ from linemate.daemon.core.tracking.conveyor import (
 from linemate.daemon.core.tracking.damping import horizon_shares
 from linemate.daemon.core.tracking.estimation import (
     comply,
-    elastic,
     estimate,
     felt_part,
-    is_pulling,
     is_seated,
     sagging,
 )
@@ -30,7 +28,6 @@ from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
 from linemate.daemon.core.tracking.observation import (
-    History,
     Wrench,
 )
 from linemate.daemon.core.tracking.task import Gate, Phase
@@ -48,14 +45,12 @@ from linemate.daemon.core.tracking.touch import (
     bolt_search,
     compliance,
     contact,
-    force_jump,
     force_sign,
     guard,
     release,
     tare,
     touch_proof,
 )
-from linemate.daemon.core.tracking.touch.touch_profile import TIPS_RESERVE
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
@@ -138,7 +133,7 @@ def track(
 ) -> tuple[TrackerState, Horizon, Report]:
     """Return the state, the horizon x_t(k, 0..n) and a report of one step of a robot that tracks.
 
-    ``update_contact`` decides on contact later: it needs the delivery of the last command.
+    ``contact_decision`` follows later: it needs the delivery of the last command.
     """
     if is_seated(tracker, state) and state.search is not guard.NO_SEARCH:
         state = _end_search(state)
@@ -601,191 +596,6 @@ def _sensed_poses(
         slopes=filtered.slopes(estimate),
     )
     return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
-
-
-def update_contact(
-    tracker: Tracker,
-    before: TrackerState,
-    after: TrackerState,
-    report: Report,
-    *,
-    held: bool,
-    is_open: bool = False,
-) -> TrackerState:
-    """Return the state of ``track`` with contact made or lost, which the next step knows of.
-
-    Args:
-        after: it, contact as it was.
-        held: the robot did not get the last command and stood still.
-        is_open: the tool reports an open clamp, or no telegram says that it does not.
-    """
-    if held or before.stood > 0.0:
-        after = replace(after, stood=before.stood + tracker.cycle_s if held else 0.0)
-    if before.contact:
-        lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
-        return replace(
-            after,
-            contact=not lost,
-            touching=before.touching + tracker.cycle_s,
-            contact_state=contact.NO_CONTACT,
-            beyond_s=0.0 if lost else _beyond(tracker, after, report),
-        )
-    if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
-        return after
-    # Without a force sensor a retreat that waits for the clamp learns nothing of a touch.
-    if after.withdrawn is not None or (after.clamped and not before.contact_state.forces):
-        return after
-    x, y, force = (0.0, 0.0, None) if report.force is None else report.force.tolist()
-    speed = _approach_speed(tracker, before, after)
-    after, force = _without_jumps(tracker, before, after, force, speed)
-    contact_state = contact.record_force(
-        before.contact_state,
-        tracker.vibration,
-        force,
-        after.acceleration,
-        held=held,
-        samples=after.sampled,
-    )
-    if contact_state.forces:
-        near = contact.reach(tracker.task.guard.clearance)
-        contact_state = contact.count_touches(
-            contact_state,
-            tracker.vibration,
-            before.distance,
-            near,
-            is_new=report.force is not None,
-            off=_doubted_from(tracker, before, after),
-        )
-    else:
-        # With a force sensor the watch ends TRACK long before: there is none in this cell.
-        is_due = before.time >= tracker.search_time and not is_open
-        contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
-    has_contact = contact_state.touches >= contact.TOUCHES
-    assumed = has_contact and not contact_state.forces
-    search, touched, sign = after.search, guard.UNTOUCHED, force_sign.TRUSTED
-    if has_contact and force is not None and report.part is not None and after.history is not None:
-        reach = _touched_reach(tracker, after, after.history, report.part, force)
-        bolts = tracker.settings.payload.bolts
-        rubs = contact.may_rub(reach, bolts)
-        has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
-        if has_contact:
-            shown = tare.shows_weight(after.tare, tracker.settings.tactile)
-            sign = force_sign.at_touch(force, tracker.vibration.force, shows_weight=shown)
-        if has_contact and not after.clamped:
-            touched = _touched_programme(tracker, before, after, reach)
-            search = guard.ContactSearch(reach, search.lasted)
-    return replace(
-        after,
-        contact_state=contact_state,
-        contact=has_contact,
-        assumed=assumed,
-        touching=0.0,
-        beyond_s=0.0,
-        touched=touched,
-        search=search,
-        force_sign=sign,
-    )
-
-
-def _doubted_from(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:
-    """Return the distance before the object from which on a force may be doubted [m]."""
-    if after.clamped and not before.contact_state.doubtful:
-        return math.inf  # it may have touched before
-    bolts = tracker.settings.payload.bolts
-    return max(contact.OFF_M, bolts + TIPS_RESERVE if bolts > 0.0 else 0.0)
-
-
-def _holds_nothing(tracker: Tracker, state: TrackerState, report: Report) -> bool:
-    """Return whether a contact was none: the clamp has opened, or closed on nothing."""
-    if state.releasing is None or report.force is None:
-        return False
-    swings = release.swings(state.pull, state.pull_power)
-    return release.holds_nothing(
-        opening=state.releasing,
-        timeout=tracker.task.tool.release_timeout,
-        touching=0.0 if touch_proof.is_doubted(state.beyond_s) else state.touching,
-        distance=state.distance,
-        pulls=is_pulling(tracker, state) and not swings,
-    )
-
-
-def _beyond(tracker: Tracker, state: TrackerState, report: Report) -> float:
-    """Return for how long a touch has given more force than an object does [s]."""
-    push = 0.0 if report.force is None else -float(report.force[2])
-    stiffness = tracker.settings.tactile.stiffness[2]
-    times = state.touching, tracker.cycle_s
-    return touch_proof.advanced(state.beyond_s, push, state.distance, stiffness, *times)
-
-
-def _approach_speed(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:
-    """Return the programmed speed of the tool towards the object [m/s]; 0 where it has none."""
-    advance = after.distance - before.distance
-    return max(advance, 0.0) / tracker.cycle_s if math.isfinite(advance) else 0.0
-
-
-def _without_jumps(
-    tracker: Tracker, before: TrackerState, after: TrackerState, force: float | None, speed: float
-) -> tuple[TrackerState, float | None]:
-    """Return the state and the force along the tool's axis without jumps of its sensor.
-
-    Args:
-        after: the state, with the samples of the force.
-        speed: programmed, of the tool towards the object [m/s].
-    """
-    felt, offset = before.contact_state, before.force_offset
-    if force is None or not after.sampled:
-        return replace(after, force_offset=replace(offset, last=None)), force
-    samples = [force + each for each in after.sampled]
-    if not contact.is_observable(felt, tracker.vibration):
-        # The tool may swing at any speed after a hold.
-        return replace(after, force_offset=force_jump.ForceOffset(0.0, samples[-1])), force
-    largest = force_jump.largest_change(
-        felt, tracker.vibration, max(speed, tracker.task.guard.touch_speed), 1.0 / len(samples)
-    )
-    offset, samples = force_jump.without_jumps(offset, samples, largest, felt.free or 0.0)
-    mean = sum(samples) / len(samples)
-    sampled = tuple([each - mean for each in samples])
-    return replace(after, force_offset=offset, sampled=sampled), mean
-
-
-def _is_face(tracker: Tracker, state: contact.ContactState, across: float) -> bool:
-    """Return whether an early touch is the face of an object that is nearer than estimated.
-
-    A face pushes. Bolts that slip into their holes let the bent mount spring: that is a pull.
-
-    Args:
-        across: force across the tool's axis [N].
-    """
-    least = guard.face_force(tracker.task.guard, tracker.settings.tactile.stiffness[2], across)
-    least = max(least, tracker.vibration.force)
-    return contact.is_push(state, tracker.vibration, least)
-
-
-def _touched_reach(
-    tracker: Tracker, state: TrackerState, history: History, part: Array, force: float
-) -> float:
-    """Return how far beyond its estimate the object was touched [m]."""
-    guarded, stiffness = tracker.task.guard, tracker.settings.tactile.stiffness[2]
-    limit = max(guarded.clearance, guarded.overrun, contact.NEAR)
-    tcp = elastic(state, history.poses[-1])
-    return guard.touched_reach(tcp, part, force_sign.nearer(force), stiffness, limit)
-
-
-def _touched_programme(
-    tracker: Tracker, before: TrackerState, after: TrackerState, reach: float
-) -> guard.TouchedProgramme:
-    """Return where the programme was as the tool touched the object.
-
-    Args:
-        reach: how far beyond its estimate the object was touched [m].
-    """
-    search = after.search
-    speed = tracker.task.guard.speed if search.lasted > 0.0 else 0.0
-    # What is commanded already leads the tool on for so many cycles.
-    cycles = tracker.merge_free.committed_s / tracker.cycle_s
-    led = after.distance + cycles * (after.distance - before.distance) - reach
-    duration = guard.pressing_time(led - tracker.press)
-    return guard.TouchedProgramme(search.reach - reach, speed, duration)
 
 
 def _advance_axis(
