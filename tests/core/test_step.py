@@ -473,6 +473,7 @@ def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:
     assert world.outputs.finished
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
 def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:

@@ -138,6 +138,7 @@ def test_whatever_is_desired_the_tcp_keeps_its_limit_and_the_axes_theirs(
         assert mean_speed(commands, cycle_s) <= MEAN_SHARE * limit
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("cycle_s", CYCLES)
 @pytest.mark.parametrize("share", [1.0, 0.15])

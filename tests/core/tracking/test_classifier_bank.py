@@ -517,6 +517,7 @@ def ripple_errors(bank: BankClassifier, hz: float, ahead: float, *, touch: bool)
     return np.array(errors)
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("touch", [False, True], ids=["distance alone", "in contact"])
 @pytest.mark.parametrize("off", [0.97, 1.0, 1.03])
@@ -735,6 +736,7 @@ def test_a_stop_that_coasts_out_ends_and_is_no_start(tau: float) -> None:
     assert all(float(state.x[1]) >= -1e-3 for state in states)
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("sway", [0.0002, 0.0005, 0.001])
 def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: float) -> None:

@@ -85,6 +85,7 @@ def test_a_stop_is_perceived_and_confirmed_before_the_conveyor_has_stopped(
         assert outcome.count("confirmed") == 1
 
 
+@pytest.mark.row
 @pytest.mark.long
 @each
 def test_a_start_is_confirmed_before_the_conveyor_has_its_speed_again(
@@ -237,6 +238,7 @@ def test_a_sensor_that_is_silent_for_half_a_second_is_survived(classifier: Class
     assert np.abs(outcome.position_errors(truth, 1.0)).max() < 0.004
 
 
+@pytest.mark.row
 @pytest.mark.long
 @each
 @pytest.mark.parametrize("source", [Source.DISTANCE, Source.CAMERA])
@@ -453,6 +455,7 @@ def disturbed(
     return confirmed, ended - confirmed, longest, view.motion
 
 
+@pytest.mark.row
 @pytest.mark.long
 @each
 @pytest.mark.parametrize("vanishes", [False, True])
@@ -482,6 +485,7 @@ def test_a_short_creep_of_the_conveyor_leaves_no_change_tentative(classifier: Cl
         assert outcome.motion(11.9) is Motion.STANDING
 
 
+@pytest.mark.row
 @pytest.mark.long
 @each
 @pytest.mark.parametrize("share", [0.6, 1.5])

@@ -142,6 +142,7 @@ def test_a_known_pendulum_is_right_while_nothing_sees_it() -> None:
     assert places[1] - places[0] == pytest.approx(body[1] - body[0], abs=6e-4)
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("in_contact", [False, True])
 @pytest.mark.parametrize("frequency_hz", [0.4, 0.7, 1.2, 2.0, 4.0])

@@ -215,6 +215,7 @@ def test_a_contact_ends_the_ramp_at_a_whole_step() -> None:
     assert state.time <= ramped.time + tracker.cycle_s
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("cycle_s", [0.004, 0.008, 0.012])
 @pytest.mark.parametrize("order", [GoOrder.GO, GoOrder.STAND, GoOrder.BACK])

@@ -251,6 +251,7 @@ def test_a_scenario_file_sets_the_modes() -> None:
         scenario_file.parse(b"body: {carrier: [{mass: -1}]}", "x.yaml")
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize(("hz", "kg"), [(0.5, 100.0), (10.0, 100.0), (5.0, 2000.0)])
 def test_a_touch_of_an_undamped_car_does_not_grow_by_itself(hz: float, kg: float) -> None:

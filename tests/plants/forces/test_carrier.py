@@ -94,6 +94,7 @@ def test_a_force_is_balanced_by_body_and_mount_in_series() -> None:
     assert seen[-1][1] == pytest.approx(5e-3 * tool / (tool + body), rel=1e-9)
 
 
+@pytest.mark.row
 @pytest.mark.long
 @pytest.mark.parametrize("hz", [0.5, 4.7, 10.0])
 @pytest.mark.parametrize("kg", [100.0, 2000.0])
