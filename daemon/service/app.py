@@ -308,28 +308,31 @@ class App:
             self.counters["foreign_telegrams"] += 1
             return None
         began_ns = time.monotonic_ns()
-        waits_for_nothing = is_answered and self._rest.is_between_looks(stamp_ns)
-        if self.cycle.is_resting and not waits_for_nothing:
+        lock = self._timer.lock
+        is_due = lock.arrival_ns is not None and self.cycle.is_resting
+        if is_due and not (is_answered and self._rest.is_between_looks(stamp_ns)):
             self._follow()  # the newest of those that waited for nothing
+            is_due = False
         self.cycle.session.turnaround_ns = self._robot.turnaround_ns or 0
         prepared, decision = self.cycle.prepared, self.cycle.decision
         try:
             reply = self.cycle.on_telegram(data, stamp_ns, source, is_answered=is_answered)
         except Exception as error:  # noqa: BLE001 - an unanswered telegram stops the robot
             self._failing_ns = stamp_ns
-            self._timer.lock.unfollowed += self.cycle.decision is not decision
+            lock.unfollowed += self.cycle.decision is not decision
             self._failed(error)
             return None
         if reply is None:
             return None
-        self._failing_ns, lock = None, self._timer.lock
-        lock.unfollowed += waits_for_nothing and lock.arrival_ns is not None
+        self._failing_ns = None
+        lock.unfollowed += is_due
         self._telegram_ns = lock.arrival_ns = stamp_ns
-        if waits_for_nothing and self.cycle.is_resting:
-            # Not even the clock: it follows at the next look, which saves a seventh of a rest.
-            return reply
-        if self.cycle.prepared == prepared and not self.cycle.is_resting:
-            self._times.note_step(time.monotonic_ns() - began_ns)
+        if self.cycle.prepared == prepared:
+            if is_answered and self._rest.is_between_looks(stamp_ns):
+                # Not even the clock: it follows at the next look, which saves a seventh of a rest.
+                return reply
+            if not self.cycle.is_resting:
+                self._times.note_step(time.monotonic_ns() - began_ns)
         self._call_after_reply()
         return reply
 
