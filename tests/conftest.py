@@ -1,7 +1,9 @@
 """What holds for every test: the shipped task, compiled once, and some steps."""
 
+import os
 import signal
 import zlib
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -50,6 +52,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 # How long an example takes says something of the machine's other work, not of the program.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
+
+
+@pytest.fixture(autouse=True)
+def priority() -> Iterator[None]:
+    """Fail a test that lowers the priority of this process: all that follow would starve."""
+    before = os.nice(0)
+    yield
+    assert os.nice(0) == before
 
 
 @pytest.fixture(scope="session")
