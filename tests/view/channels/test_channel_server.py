@@ -1,7 +1,6 @@
 """The live server asked by a WebSocket client that knows Foxglove's protocol."""
 
 import json
-import os
 import signal
 import struct
 import subprocess
@@ -120,9 +119,8 @@ def test_a_daemon_that_does_not_answer_is_named_in_the_log(tmp_path: Path) -> No
 
 
 def test_a_recording_and_a_port_that_is_taken_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(os, "nice", lambda _: 0)  # else the tests that follow would starve
     assert tool.main(["view", "--foxglove", str(tmp_path / "r.mcap")]) == 2
     assert "linemate export" in capsys.readouterr().err
     with serving(tmp_path) as address:
