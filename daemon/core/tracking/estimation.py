@@ -113,8 +113,8 @@ def estimate(
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
         row = _along_measurement(tracker, transverse, source, measured, gate)
         rows.append(row if source is Source.CAMERA else _felt_row(state, row, oscillation))
-    seen = transverse
-    transverse = _correct_held(tracker, state, seen, history, samples, wrench, rows)
+    seen, leaning = transverse, _leaning(tracker, state, wrench)
+    transverse = _correct_held(tracker, state, seen, history, samples, wrench, leaning, rows)
     conveyor, readings = state.conveyor, state.readings
     if conveyor is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
@@ -141,7 +141,7 @@ def estimate(
         speed=0.0 if view is None else view.speed,
         unit=None if view is None else view.unit,
         held=_held(tracker, state, seen, transverse),
-        leaning=_leaning(tracker, state, wrench),
+        leaning=leaning,
         units=_with_unit(tracker, state, samples.stamp_ns, view),
     )
     return state, view, rejected, wrench
@@ -556,12 +556,14 @@ def _correct_held(
     history: History | None,
     samples: StepSamples,
     wrench: Wrench | None,
+    leaning: Vector3,
     rows: list[PositionMeasurement],
 ) -> TransverseState | None:
     """Return the estimate across the conveyor by bolts in their holes.
 
     Args:
         wrench: of the contact alone.
+        leaning: its mean force [N].
         rows: gets what they show along the conveyor.
     """
     settings = tracker.settings
@@ -575,8 +577,7 @@ def _correct_held(
     tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
     if tcp is None:
         return transverse
-    mean = held_bolts.averaged(state.leaning, wrench.force, tracker.cycle_s)
-    where = payload, mount, state.distance, mean
+    where = payload, mount, state.distance, leaning
     place = held_bolts.place(wrench.force, bending.force, tcp, *where)
     if place is None:
         return transverse

@@ -171,7 +171,7 @@ def advance_clock(
             state,
             clamped=clamped,
             releasing=elapsed(state.releasing, True, T0),
-            # A plan that goes on without the robot would be caught up with at the joints' limits.
+            # A robot that gets no commands yet would catch up at its joints' limits.
             withdrawn=elapsed(state.withdrawn, not clamped and state.stood <= 0.0, T0),
         )
     if not state.started:
