@@ -3,7 +3,7 @@
 import os
 import signal
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -55,11 +55,15 @@ settings.load_profile("patient")
 
 
 @pytest.fixture(autouse=True, scope="session")
-def priority() -> Iterator[None]:
-    """Keep the priority of programs that run in this process: all later tests would starve."""
+def nice() -> Iterator[Callable[[int], int]]:
+    """Keep the priority of programs that run in this process: all later tests would starve.
+
+    What it yields is the true `os.nice`.
+    """
+    nice = os.nice
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "nice", lambda _: 0)
-        yield
+        yield nice
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import webbrowser
+from collections.abc import Callable
 
 import pytest
 
@@ -12,7 +13,7 @@ from linemate.daemon.view import view_process
 
 
 def test_a_browser_that_is_opened_gives_way_and_the_server_does_not(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, nice: Callable[[int], int]
 ) -> None:
     opened: list[tuple[str, int]] = []
 
@@ -23,7 +24,8 @@ def test_a_browser_that_is_opened_gives_way_and_the_server_does_not(
         return True
 
     monkeypatch.setattr(webbrowser, "open", pretend)
-    before = os.nice(0)
+    monkeypatch.setattr(os, "nice", nice)
+    before = nice(0)
     asyncio.run(asyncio.to_thread(view_process._open, "http://127.0.0.1:1/"))  # type: ignore[arg-type]
     assert opened == [("http://127.0.0.1:1/", 19)]
-    assert os.nice(0) == before
+    assert nice(0) == before
