@@ -276,6 +276,9 @@ class BankSettings:
             by the force too.
         start_confirmed: log odds at which a start is confirmed.
         amplitude_deviation: of a class's acceleration about its nominal one, a share.
+        faster: how likely a change is faster than configured by more than its deviation; 0 knows
+            none.
+        faster_deviation: of such a one's acceleration [m/s^2].
         as_set: how likely a stop or a start goes on as it was set, which the prediction then takes
             it to, as far as the readings let it; 0 for ramps of which only the other is known.
         as_set_deviation: of such a one's acceleration about its nominal one, a share.
@@ -292,6 +295,8 @@ class BankSettings:
     contact_confirmed: LogOdds = 5.5
     start_confirmed: LogOdds = 17.0
     amplitude_deviation: Annotated[float, Ge(0.01), Le(2.0)] = 0.15
+    faster: Annotated[float, Ge(0.0), Le(0.5)] = 0.01
+    faster_deviation: Annotated[float, Ge(0.001), Le(2.0)] = 0.1
     as_set: Annotated[float, Ge(0.0), Le(0.99)] = 0.8
     as_set_deviation: Annotated[float, Ge(0.001), Le(0.1)] = 0.02
     penalty: LogOdds = 4.0

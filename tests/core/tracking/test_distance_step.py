@@ -9,6 +9,7 @@ from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 
 T0, SIGMA, STOP, SPEED, UNIT = 0.012, 0.39e-3, -0.104, 0.106, 1e-3
 PRIOR = AmplitudePrior(STOP, (0.15 * STOP) ** 2)
+FASTER = AmplitudePrior(STOP, 0.1**2, 1.45, -4.6)
 LATE_S = 0.02
 
 
@@ -31,13 +32,13 @@ def late(since_s: float, seed: int) -> Array:
     return readings(way[seen], ages[seen], seed)
 
 
-def stopping(since_s: float, seed: int) -> Array:
+def stopping(since_s: float, seed: int, share: float = 1.0) -> Array:
     ages = steady_ages()
-    return readings(0.5 * STOP * np.maximum(since_s - ages, 0.0) ** 2, ages, seed)
+    return readings(0.5 * share * STOP * np.maximum(since_s - ages, 0.0) ** 2, ages, seed)
 
 
-def find(kept: Array) -> distance_step.DistanceStep | None:
-    return distance_step.find(kept, PRIOR, SPEED, 0.003, SIGMA)
+def find(kept: Array, faster: AmplitudePrior | None = FASTER) -> distance_step.DistanceStep | None:
+    return distance_step.find(kept, PRIOR, SPEED, 0.003, SIGMA, faster)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -53,6 +54,16 @@ def test_a_sensor_that_becomes_late_is_a_step_of_its_size(seed: int) -> None:
 def test_a_stop_is_no_step(since_s: float, seed: int) -> None:
     step = find(stopping(since_s, seed))
     assert step is None or not step.is_certain
+
+
+def test_an_emergency_stop_is_no_step() -> None:
+    taken = []
+    for faster in (None, FASTER):
+        steps = [find(stopping(0.12, seed, share=5.0), faster) for seed in range(60)]
+        taken.append(sum(step is not None and step.is_certain for step in steps))
+    as_stated, known = taken
+    assert known == 0
+    assert as_stated > 10
 
 
 @pytest.mark.parametrize("since_s", [0.16, 0.2, 0.3])

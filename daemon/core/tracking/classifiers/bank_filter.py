@@ -357,8 +357,9 @@ def _is_plausible(model: BankModel, state: BankState, nu: float, rho: Array, gat
     """
     if len(rho) == 0:
         return False
-    weights = onset_bank.posterior(state.changes, model.change_prior).weights
-    expected = float(weights @ rho)
+    change = model.change_posterior(state)
+    is_faster = change.variance != model.change_prior.variance
+    expected = float(change.weights @ (rho * change.amplitudes if is_faster else rho))
     return min(0.0, expected) - gate < nu < max(0.0, expected) + gate
 
 

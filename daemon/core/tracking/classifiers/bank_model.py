@@ -43,6 +43,9 @@ Y, V, RANDOM, OFFSET, ACCELERATION, IMPULSE, IMPULSE_QUADRATURE = range(7)
 RIPPLE, RIPPLE_QUADRATURE, FREQUENCY, SLIP, SWAY, SWAY_QUADRATURE, PACE, GAIN = range(7, STATES)
 RAMPS = (Motion.STOPPING, Motion.STARTING)
 RIPPLE_FACTORS = (0.7, 1.4)  # range of the ripple's frequency over the configured one
+EPSILON = 1e-9  # mean of an amplitude whose sign alone is known
+LEAST_SHARE = 0.02  # of a faster change that widens the estimate of another
+FASTER_SIGMAS = 3.0  # beyond the configured acceleration from which a change is a faster one
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
@@ -208,6 +211,47 @@ class BankModel:
     def change_prior(self) -> AmplitudePrior:
         """Prior of a change's amplitude, as a share of its nominal one."""
         return AmplitudePrior(1.0, self.bank.amplitude_deviation**2)
+
+    @cached_property
+    def faster_priors(self) -> dict[Motion, AmplitudePrior | None]:
+        """Prior of the amplitude of a change that is faster than configured, by class."""
+        least = 1.0 + FASTER_SIGMAS * self.bank.amplitude_deviation
+        return {motion: self._faster(motion, 1.0, least) for motion in Motion}
+
+    @cached_property
+    def stronger_priors(self) -> dict[Motion, AmplitudePrior | None]:
+        """Prior of what a ramp adds that is stronger than estimated, by class.
+
+        It is the opposite of the change out of that class.
+        """
+        return {motion: self._faster(motion, -EPSILON, -math.inf) for motion in RAMPS}
+
+    def _faster(self, motion: Motion, mean: float, least: float) -> AmplitudePrior | None:
+        faster = self.bank.faster
+        if not faster:
+            return None
+        variance = (self.bank.faster_deviation / self.changes[motion]) ** 2
+        return AmplitudePrior(mean, variance, least, math.log(faster / (1.0 - faster)))
+
+    def change_posterior(self, state: BankState) -> OnsetPosterior:
+        """Return the posterior of a change of class, as configured or faster."""
+        result = onset_bank.posterior(state.changes, self.change_prior)
+        faster = self.faster_priors[state.motion]
+        if faster is None:
+            return result
+        return onset_bank.likelier(state.changes, result, faster, self.bank.perceived)
+
+    def faster_amplitude(self, state: BankState) -> float:
+        """Return one sigma of a change's amplitude, as far as it may be a faster one; 0 if not."""
+        faster = self.faster_priors[state.motion]
+        if faster is None or not len(state.changes):
+            return 0.0
+        usual = onset_bank.posterior(state.changes, self.change_prior)
+        wider = onset_bank.posterior(state.changes, faster)
+        share = 1.0 / (1.0 + math.exp(min(usual.odds - wider.odds, 30.0)))
+        if share < LEAST_SHARE:
+            return 0.0
+        return math.sqrt(share) * float(wider.weights.dot(wider.amplitudes))
 
     @cached_property
     def impulse_prior(self) -> AmplitudePrior:

@@ -73,6 +73,7 @@ LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed 
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
 FELT_S = 0.008  # a contact is known for so long after a deflection: two samples of 250 Hz [s]
+UNSURE = 0.5  # share of what a ramp turns out to be stronger that may be wrong
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 
@@ -195,7 +196,7 @@ class BankClassifier(BankModel):
 
     def _decide(self, state: BankState) -> BankState:
         """Return the state with a change perceived, confirmed or cancelled, or an impulse."""
-        change = onset_bank.posterior(state.changes, self.change_prior)
+        change = self.change_posterior(state)
         impulse = onset_bank.posterior(state.impulses, self.impulse_prior)
         change_odds = change.odds - _softplus(impulse.odds)
         impulse_odds = impulse.odds - _softplus(change.odds)
@@ -216,6 +217,9 @@ class BankClassifier(BankModel):
         )
         if self._asks_distance(state, limit):
             state = replace(state, distance_odds=self._distance_odds(state))
+        stronger = self._stronger(state)
+        if stronger is not None:
+            return stronger
         step = self._step(state) if change_odds > settings.perceived else None
         if step is not None and step.is_certain:
             return self._accept_step(state, step)
@@ -250,6 +254,24 @@ class BankClassifier(BankModel):
             return replace(state, tentative=False, events=(*state.events, (event, "cancelled")))
         return state
 
+    def _stronger(self, state: BankState) -> BankState | None:
+        """Return the state on a ramp that turns out to be stronger than estimated, or None.
+
+        The distance sensor must agree: a body that sways looks like it.
+        """
+        prior, bank = self.stronger_priors.get(state.motion), onset_bank.oldest(state.changes)
+        if prior is None or not len(bank):
+            return None
+        stronger = onset_bank.posterior(bank, prior)
+        if stronger.odds < max(self.bank.perceived, state.change.odds):
+            return None
+        shown = replace(state, changes=bank, change=stronger)
+        if not (self._distance_odds(shown) or 0.0) > SUPPORT["start"]:
+            return None
+        mean, spread = onset_bank.merge_moments(bank, -bank.error, stronger)
+        spread[[V, ACCELERATION], [V, ACCELERATION]] += (UNSURE * mean[[V, ACCELERATION]]) ** 2
+        return replace(clear_banks(state), x=state.x + mean, P=state.P + spread)
+
     def _step(self, state: BankState) -> DistanceStep | None:
         """Return the step of the distance sensor that looks like a stop; None without one.
 
@@ -259,8 +281,14 @@ class BankClassifier(BankModel):
             return None
         stop = self.changes[Motion.RUNNING]
         prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
+        share = self.faster_priors[Motion.RUNNING]
         return distance_step.find(
-            state.readings, prior, state.cruise, RUNNING_DEVIATION, self.distance_deviation
+            state.readings,
+            prior,
+            state.cruise,
+            RUNNING_DEVIATION,
+            self.distance_deviation,
+            share and AmplitudePrior(stop, share.variance * stop**2, share.least, share.odds),
         )
 
     def _accept_step(self, state: BankState, step: DistanceStep) -> BankState:
@@ -320,7 +348,11 @@ class BankClassifier(BankModel):
         x[OFFSET] = declared.reading - float(x[Y])
         known = [Y, V, RANDOM, OFFSET, ACCELERATION]
         P[known, :] = P[:, known] = 0.0
-        unsure = self.bank.amplitude_deviation * change
+        # The sensor is too coarse to show whether a change is faster or began earlier.
+        unsure = math.hypot(
+            self.bank.amplitude_deviation * change,
+            self.faster_amplitude(state) * self.changes[state.motion],
+        )
         P[ACCELERATION, ACCELERATION], P[V, ACCELERATION] = unsure**2, unsure**2 * onset
         P[ACCELERATION, V], P[V, V] = unsure**2 * onset, (unsure * onset) ** 2 + REST_DEVIATION**2
         P[Y, Y], P[OFFSET, OFFSET] = HELD_DEVIATION**2, HELD_DEVIATION**2
@@ -384,7 +416,10 @@ class BankClassifier(BankModel):
     def _accept_change(self, state: BankState, motion: Motion) -> BankState:
         """Return the state in its new class, the banks cleared."""
         bank = state.changes
-        mean, spread = onset_bank.merge_moments(bank, -bank.error, self.change_prior)
+        mean, spread = onset_bank.merge_moments(bank, -bank.error, state.change)
+        if state.change.variance == self.change_prior.variance:
+            faster = -self.faster_amplitude(state) * bank.error.dot(state.change.weights)
+            spread = spread + np.outer(faster, faster)
         class_age = float(state.change.weights @ bank.age)
         return replace(
             clear_banks(state),
@@ -401,7 +436,7 @@ class BankClassifier(BankModel):
         response[IMPULSE], response[IMPULSE_QUADRATURE] = self.impulse_response(
             bank.age, bank.omega
         )
-        mean, spread = onset_bank.merge_moments(bank, response - bank.error, self.impulse_prior)
+        mean, spread = onset_bank.merge_moments(bank, response - bank.error, state.impulse)
         events = [*state.events, ("push", "confirmed")]
         if state.tentative:
             events.append((NEXT[state.motion][1], "cancelled"))

@@ -81,10 +81,17 @@ class OnsetBank(Struct, frozen=True, eq=False):
 
 @dataclass(frozen=True, slots=True)
 class AmplitudePrior:
-    """Prior N(mean, variance) of an amplitude."""
+    """Prior N(mean, variance) of an amplitude.
+
+    Attributes:
+        least: amplitude below which the prior does not hold.
+        odds: log odds of this prior before any reading.
+    """
 
     mean: float
     variance: float
+    least: float = -math.inf
+    odds: float = 0.0
 
 
 class OnsetPosterior(Struct, frozen=True, eq=False):
@@ -94,11 +101,13 @@ class OnsetPosterior(Struct, frozen=True, eq=False):
         odds: log of the sum of all likelihood ratios.
         weights: (m,) posterior of the onsets.
         amplitudes: (m,) posterior mean of each amplitude.
+        variance: of the amplitude before any reading; 0 without a hypothesis.
     """
 
     odds: float
     weights: Array
     amplitudes: Array
+    variance: float = 0.0
 
 
 NO_POSTERIOR = OnsetPosterior(-30.0, np.zeros(0), np.zeros(0))
@@ -188,6 +197,9 @@ def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Ar
     ratio *= 0.5
     # A conveyor that speeds up does not stop, however badly the null filter fits it.
     ratio[mean * prior.mean < 0.0] = NONE
+    if prior.odds:
+        ratio += prior.odds
+        ratio[mean < prior.least] = NONE
     return ratio, mean
 
 
@@ -209,10 +221,31 @@ def posterior(
     top = float(ratios[ratios.argmax()])
     raw = np.exp(ratios - top)
     total = float(np.add.reduce(raw))
-    return OnsetPosterior(top + math.log(total), raw / total, amplitudes)
+    return OnsetPosterior(top + math.log(total), raw / total, amplitudes, prior.variance)
 
 
-def merge_moments(bank: OnsetBank, unit: Array, prior: AmplitudePrior) -> tuple[Array, Array]:
+def likelier(
+    bank: OnsetBank, result: OnsetPosterior, other: AmplitudePrior, asked: float
+) -> OnsetPosterior:
+    """Return the posterior with another prior of the amplitude if that explains more.
+
+    Args:
+        result: posterior with the usual prior.
+        asked: log likelihood ratio that the best amplitude must have for the other to be asked.
+    """
+    if not result.variance or float((bank.B * bank.B - 2.0 * asked * bank.A).max()) <= 0.0:
+        return result
+    wider = posterior(bank, other)
+    return wider if wider.odds > result.odds else result
+
+
+def oldest(bank: OnsetBank) -> OnsetBank:
+    """Return the oldest hypothesis of a bank alone."""
+    shares = None if bank.shares is None else np.ones(1)
+    return OnsetBank(bank.error[:, -1:], bank.sums[:, -1:], shares)
+
+
+def merge_moments(bank: OnsetBank, unit: Array, result: OnsetPosterior) -> tuple[Array, Array]:
     """Return by how much the bank moves the null estimate (n,), and its spread (n, n).
 
     Onsets are merged by their moments; the posterior variance of the amplitude is added.
@@ -220,11 +253,16 @@ def merge_moments(bank: OnsetBank, unit: Array, prior: AmplitudePrior) -> tuple[
     Args:
         bank: with at least one hypothesis.
         unit: (n, m) by how much each would at amplitude 1.
+        result: posterior of the bank.
+
+    Raises:
+        ValueError: the posterior is that of no hypothesis.
     """
-    result = posterior(bank, prior)
+    if not result.variance:
+        raise ValueError("no hypothesis to merge")
     shift = unit * result.amplitudes
     mean: Array = shift.dot(result.weights)
     off = shift - mean[:, None]
-    variances = result.weights / (bank.A + 1.0 / prior.variance)
+    variances = result.weights / (bank.A + 1.0 / result.variance)
     spread: Array = (result.weights * off) @ off.T + (variances * unit) @ unit.T
     return mean, spread

@@ -28,7 +28,8 @@ LEAST_AFTER = 2  # readings after a step, so that one outlier is none
 STEP_DEVIATION = 0.005  # of a step before any reading [m]
 LEAST_SIZE = 0.0015  # of a step: a smaller one costs less than a stop that is taken for it [m]
 ONSETS = np.linspace(0.04, 0.48, 23)  # time since a change began [s]
-CERTAIN = 2.0  # log odds of a step against a change from which it is one
+LIKELY = 2.0  # log likelihood ratio of a step from which it is one that may be
+CERTAIN = 4.0  # log odds of a step against a change from which it is one; a fast stop had 2.1
 MISSING = 1.5  # times the usual time between readings, from which one is missing
 LATE = 4.0  # log odds more of a step by as much as the object moved while readings were missing
 NONE = -30.0  # log likelihood ratio of a step the other way, which is taken for no change
@@ -61,6 +62,7 @@ def find(
     speed: float,
     speed_deviation: float,
     deviation: float,
+    faster: AmplitudePrior | None = None,
 ) -> DistanceStep | None:
     """Return the likeliest step; None if a change is likelier, or neither is likely.
 
@@ -70,6 +72,7 @@ def find(
         speed: steady one before either [m/s].
         speed_deviation: one sigma of it [m/s].
         deviation: one sigma of a reading [m].
+        faster: prior of a change that is faster than configured, None without one.
     """
     heard = since(readings, SPAN_S)
     fits = _has_a_neighbour(heard, speed, deviation)
@@ -94,6 +97,10 @@ def find(
     count = len(places)
     steps, sizes = _ratios(power[:count], shown[:count], AmplitudePrior(0.0, STEP_DEVIATION**2))
     changes, _ = _ratios(power[count:], shown[count:], change)
+    if faster is not None:
+        fast, accelerations = _ratios(power[count:], shown[count:], faster)
+        is_fast = accelerations / faster.mean > faster.least
+        changes = np.maximum(changes, np.where(is_fast, fast + faster.odds, NONE))
     # An outlier is no silence.
     gaps = -np.diff(heard[0], prepend=heard[0, :1])[fits]
     usual = median(gaps.tolist())
@@ -109,7 +116,7 @@ def find(
     steps = np.where(is_step, steps, NONE)
     odds = _total(steps) - _total(changes)
     best = int(steps.argmax())
-    if odds < 0.0 or float(steps[best]) < CERTAIN:
+    if odds < 0.0 or float(steps[best]) < LIKELY:
         return None
     age = float(ages[places[best] - 1])
     return DistanceStep(odds, age, float(sizes[best]), float(power[best]) ** -0.5)

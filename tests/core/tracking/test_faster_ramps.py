@@ -1,0 +1,67 @@
+"""Stops and starts that are faster than the task file states."""
+
+import numpy as np
+import pytest
+from conveyor_truth import START, STOP, Story, Truth, tell
+
+from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
+from linemate.daemon.core.tracking.settings import BankSettings, DistanceNoise, FusionSettings
+from linemate.daemon.core.tracking.task import ConveyorClasses
+
+NOISE = DistanceNoise().deviation
+BANK = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), NOISE)
+AS_STATED = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(faster=0.0), NOISE)
+ONSET = 4.0
+SEEDS = range(3)
+
+
+def started(classifier: BankClassifier, share: float, seed: int) -> tuple[Truth, Story]:
+    truth = Truth(8.0, ((1.0, -STOP), (ONSET, share * START)), seed=seed)
+    return truth, tell(classifier, truth)
+
+
+@pytest.mark.parametrize(("share", "most"), [(3.0, 1.3e-3), (6.0, 1.4e-3)])
+def test_a_start_faster_than_stated_is_followed(share: float, most: float) -> None:
+    for seed in SEEDS:
+        truth, story = started(BANK, share, seed)
+        assert np.abs(story.position_errors(truth, ONSET)).max() < most
+        assert story.first("stop", "confirmed", ONSET) == float("inf")
+
+
+def test_a_classifier_of_stated_ramps_alone_loses_millimetres_of_a_fast_start() -> None:
+    truth, story = started(AS_STATED, 6.0, 0)
+    assert np.abs(story.position_errors(truth, ONSET)).max() > 3e-3
+
+
+def test_a_stop_within_a_start_faster_than_stated_is_confirmed() -> None:
+    stopped = ONSET + 0.7
+    events = ((1.0, -STOP), (ONSET, 6.0 * START), (stopped, -STOP))
+    for seed in SEEDS:
+        story = tell(BANK, Truth(8.0, events, seed=seed))
+        assert stopped < story.first("stop", "confirmed", ONSET) < stopped + 0.25
+
+
+def test_the_estimate_of_a_start_as_stated_is_the_same_to_the_bit() -> None:
+    for seed in SEEDS:
+        (_, story), (_, stated) = started(BANK, 1.0, seed), started(AS_STATED, 1.0, seed)
+        assert [view.position for view in story.views] == [view.position for view in stated.views]
+
+
+def test_a_larger_amplitude_is_taken_only_where_it_explains_more() -> None:
+    begun = onset_bank.begin(np.ones(1), (0.0,))
+    usual, faster = AmplitudePrior(1.0, 0.15**2), AmplitudePrior(1.0, 8.0**2, 1.5, -4.6)
+    for amplitude, is_faster in ((1.0, False), (1.2, False), (6.0, True)):
+        bank = onset_bank.OnsetBank(
+            begun.error, np.array([[40.0], [40.0 * amplitude], [1.0], [0.0]])
+        )
+        result = onset_bank.posterior(bank, usual)
+        likeliest = onset_bank.likelier(bank, result, faster, 6.0)
+        assert (likeliest is not result) is is_faster
+        assert float(likeliest.amplitudes[0]) == pytest.approx(amplitude, abs=0.2)
+
+
+def test_no_hypothesis_cannot_be_merged() -> None:
+    with pytest.raises(ValueError, match="no hypothesis"):
+        onset_bank.merge_moments(onset_bank.empty(1), np.zeros((1, 0)), onset_bank.NO_POSTERIOR)
