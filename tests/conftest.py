@@ -43,8 +43,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     share, text = config.getoption("--share"), config.getoption("--share-of")
     kept, left_out = [], []
     for item in items:
-        is_one = zlib.crc32(f"{text} {item.name}".encode()) % share == 0
-        (kept if is_one or item.get_closest_marker("row") is None else left_out).append(item)
+        row = item.get_closest_marker("row")
+        # Rows that share what takes long are left out together.
+        name = row.args[0] if row is not None and row.args else item.name
+        is_one = zlib.crc32(f"{text} {name}".encode()) % share == 0
+        (kept if is_one or row is None else left_out).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = kept
 

@@ -16,6 +16,8 @@ from linemate.simulators.lab import exercise, identify_run
 from linemate.simulators.lab.identify_run import IdentificationPlan
 from linemate.simulators.plants.scenario import Effector, Robot
 
+pytestmark = pytest.mark.row("one exercise")
+
 PLAN = IdentificationPlan(exercises=1, wheels=0, overrides=("scenario.duration_s=12.5",))
 """A third of the exercise."""
 

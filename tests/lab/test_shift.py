@@ -81,6 +81,7 @@ def outcome(tmp_path_factory: pytest.TempPathFactory) -> ShiftOutcome:
     return run(station(folder), CARS, TAKT_S, records)
 
 
+@pytest.mark.row("one shift")
 def test_every_good_car_is_mounted_and_every_other_one_reported_with_its_cause(
     outcome: ShiftOutcome,
 ) -> None:
@@ -90,6 +91,7 @@ def test_every_good_car_is_mounted_and_every_other_one_reported_with_its_cause(
     assert [record["part"] for record in outcome.records] == [car.part for car in CARS]
 
 
+@pytest.mark.row("one shift")
 def test_the_lines_controller_types_no_order(outcome: ShiftOutcome) -> None:
     assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
     assert outcome.requests["announce"] == len(CARS)
@@ -111,6 +113,7 @@ def test_a_shift_behind_another_controller_mounts_and_reports_the_same_cars(
     assert [row["mounted"] for row in result["cars"]] == [True, False]
 
 
+@pytest.mark.row
 def test_a_line_that_speaks_opc_ua_alone_drives_a_shift(tmp_path: Path) -> None:
     """asyncua's client against the server of ``linemate plc``, in another process."""
     records = tmp_path / "records"
@@ -124,6 +127,7 @@ def test_a_line_that_speaks_opc_ua_alone_drives_a_shift(tmp_path: Path) -> None:
     assert set(outcome.requests) <= {"announce", "queue", "next", "ack"}
 
 
+@pytest.mark.row
 def test_a_method_that_is_refused_over_opc_ua_has_its_reason(tmp_path: Path) -> None:
     records = tmp_path / "records"
     records.mkdir()
@@ -134,6 +138,7 @@ def test_a_method_that_is_refused_over_opc_ua_has_its_reason(tmp_path: Path) -> 
         assert "P1" in plc.refusals[0]
 
 
+@pytest.mark.row("one shift")
 def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome) -> None:
     record = outcome.records[0]
     times = record["times_s"]
@@ -143,6 +148,7 @@ def test_a_record_has_the_times_and_the_force_of_the_part(outcome: ShiftOutcome)
     assert record["variant"] == "low"
 
 
+@pytest.mark.row
 def test_a_good_car_corrects_the_camera_for_the_next_one(tmp_path: Path) -> None:
     folder = tmp_path / "records"
     folder.mkdir()
@@ -211,6 +217,7 @@ def test_the_judge_sees_growth() -> None:
     assert "has grown by 33554433 bytes, limit 33554432" in str(grown["complaints"])
 
 
+@pytest.mark.row("one shift")
 def test_the_memory_of_a_shift_is_measured(outcome: ShiftOutcome) -> None:
     first, last = outcome.resident
     assert 10**7 < first <= last + 2**20
@@ -235,6 +242,7 @@ def test_a_shift_whose_time_is_over_ends_with_its_present_car(tmp_path: Path) ->
     assert f"1 of {len(CARS)} cars" in shift.table(result)
 
 
+@pytest.mark.row("one shift")
 def test_a_split_shift_is_judged_as_one(outcome: ShiftOutcome) -> None:
     here = shift.judge([outcome, outcome], 1)
     assert here["resident_bytes"] == [list(outcome.resident)] * 2

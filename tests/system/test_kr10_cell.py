@@ -77,6 +77,7 @@ def test_a_controller_file_without_an_axis_is_refused_by_name(tmp_path: Path) ->
         cell_files.named(str(tmp_path))
 
 
+@pytest.mark.row
 def test_car_after_car_comes_by_the_stations_file() -> None:
     """70 s of virtual time: a part whose line stops, and one that the camera loses."""
     station = line_station.station("kr10")

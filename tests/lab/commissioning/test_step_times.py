@@ -10,6 +10,7 @@ from linemate.simulators.lab import commission_cell
 from linemate.simulators.lab.commissioning import site_copy, step_times
 
 
+@pytest.mark.row
 def test_a_motion_of_the_daemon_is_as_long_as_its_steps(tmp_path: Path) -> None:
     cell = commission_cell.EmulatedCell(site_copy.copied("kr10", tmp_path))
     (file,) = commission_cell.recorded(cell, StepName.SIGNS, tmp_path)
