@@ -47,6 +47,8 @@ class PositionMeasurement(Struct, frozen=True):
         is_firm: of the force-torque sensor: the object does not give way, so that a target may
             follow a deflection at once.
         complied: of the force-torque sensor: what an offset of the target has taken up of it [m].
+        pushed: of the force-torque sensor: one sigma of the speed that bolts in their holes have
+            given the object before the touch [m/s].
     """
 
     source: Source
@@ -56,6 +58,7 @@ class PositionMeasurement(Struct, frozen=True):
     gate: float
     is_firm: bool = False
     complied: float = 0.0
+    pushed: float = 0.0
 
 
 class ConveyorEstimate(Struct, frozen=True):

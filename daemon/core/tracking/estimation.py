@@ -277,6 +277,9 @@ def _felt_row(state: TrackerState, row: PositionMeasurement, more: float) -> Pos
         variance=_inflation(state) * row.variance + more,
         is_firm=complied.is_firm,
         complied=complied.offset[ALONG],
+        pushed=held_bolts.pushed(state.leaning, state.poses[0], ALONG)
+        if any(state.leaning)
+        else 0.0,
     )
 
 
@@ -612,7 +615,9 @@ def _held(
 
 def _leaning(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> Vector3:
     """Return the mean force of bolts in their holes [N], nothing where there are none."""
-    if state.contact or not held_bolts.is_entered(tracker.settings.payload, state.distance):
+    if state.contact:
+        return state.leaning  # with which the tool touched
+    if not held_bolts.is_entered(tracker.settings.payload, state.distance):
         return NO_FORCE
     if wrench is None:
         return state.leaning

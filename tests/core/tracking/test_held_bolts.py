@@ -99,3 +99,10 @@ def test_a_second_of_measurements_is_as_certain_at_any_cycle(cycle_s: float) -> 
     count = 1.0 / cycle_s
     assert measured.variance[0] / count == pytest.approx(0.0003**2 * 0.1, rel=1e-9)
     assert (measured.variance[2:] == held_bolts.UNKNOWN).all()
+
+
+def test_bolts_that_press_along_the_line_give_the_object_a_speed() -> None:
+    turned = np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.5 * math.pi))
+    still, along = np.zeros(6), 40.0 * held_bolts.PUSHED_S / held_bolts.LIGHT_KG
+    assert held_bolts.pushed((10.0, -40.0, 5.0), still, 1) == pytest.approx(along)
+    assert held_bolts.pushed((-40.0, 0.0, 5.0), turned, 1) == pytest.approx(along)

@@ -8,8 +8,15 @@ import pytest
 from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Sensor, Truth
 from msgspec import structs
 
-from linemate.daemon.core.tracking.classifiers.bank_model import GAIN, SWAY, BankState
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    GAIN,
+    IMPULSE_QUADRATURE,
+    SWAY,
+    SWAY_QUADRATURE,
+    BankState,
+)
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.classifiers.sway_filter import touched
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import (
     BankSettings,
@@ -45,6 +52,7 @@ def run(
     *,
     bank: BankClassifier = BANK,
     contact_from: float = math.inf,
+    pushed: float = 0.0,
 ) -> tuple[BankState, list[tuple[float, str, str]], list[float]]:
     """The classifier on a body that sways: state, events, and errors of the sway."""
     rng = np.random.default_rng(7)
@@ -59,7 +67,8 @@ def run(
         body = np.interp((t - DELAY, t), truth.times, truth.positions + sway)
         if t > contact_from:
             value = body[1] + rng.normal(0.0, 5e-5)
-            rows.append(PositionMeasurement(Source.TACTILE, value, 0.0, 25e-10, 20.0))
+            felt = PositionMeasurement(Source.TACTILE, value, 0.0, 25e-10, 20.0, pushed=pushed)
+            rows.append(felt)
         elif k % 2:
             value = body[0] + rng.normal(0.0, 5e-4)
             rows.append(PositionMeasurement(Source.CAMERA, value, DELAY, 25e-8, 5.0))
@@ -316,3 +325,44 @@ def test_a_known_sway_that_nothing_sees_is_as_uncertain_as_it_may_be_wrong() -> 
     sigma = math.sqrt(float(state.P[SWAY, SWAY]))
     assert abs(error) < 2.5 * sigma
     assert sigma < 0.0007
+
+
+PUSHED = 0.018  # by bolts that press along the line with 30 N [m/s]
+
+
+def test_a_body_that_bolts_have_pushed_before_the_touch_is_nothing_new() -> None:
+    """A body of 665 kg left with 10 mm/s: that was a stop, and the tool pulled with 393 N."""
+    truth = Truth(6.0, (), ripple=1e-5)
+    late = np.maximum(truth.times - 3.85, 0.0)
+    sway = -0.0024 * np.sin(math.tau * 0.69 * late)
+    known, unknown = (
+        [
+            t
+            for t, _, how in run(truth, sway, 4.4, contact_from=4.0, pushed=each)[1]
+            if how == "confirmed"
+        ]
+        for each in (PUSHED, 0.0)
+    )
+    assert min(unknown) < 4.12
+    assert min(known, default=math.inf) > 4.15
+
+
+def test_a_stop_right_after_such_a_touch_is_confirmed_as_soon() -> None:
+    truth, times = Truth(6.0, ((4.1, -STOP),), ripple=1e-5), []
+    for pushed in (0.0, PUSHED):
+        events = run(truth, np.zeros(len(truth.times)), 5.0, contact_from=4.0, pushed=pushed)[1]
+        times += [t for t, what, how in events if (what, how) == ("stop", "confirmed")]
+    assert len(times) == 2
+    assert times[1] < times[0] + 0.1
+
+
+@pytest.mark.parametrize("omega", [0.0, 4.0])
+def test_the_speed_that_bolts_gave_a_body_widens_its_sway_or_that_of_an_impulse(
+    omega: float,
+) -> None:
+    state = structs.replace(BANK.initial(0.0), sway_omega=omega)
+    change = touched(state, 0.02).P - touched(state).P
+    of_speed = SWAY_QUADRATURE if omega else IMPULSE_QUADRATURE
+    expected = np.zeros_like(change)
+    expected[of_speed, of_speed] = (0.02 / (omega or state.impulse_omega)) ** 2
+    assert change == pytest.approx(expected)

@@ -92,7 +92,7 @@ class BankClassifier(BankModel):
         state = sway_filter.predict(self, bank_filter.predict(self, state, dt), dt)
         felt = [each for each in measurements if each.source is Source.TACTILE]
         if felt and not state.contact:
-            state = sway_filter.touched(state)
+            state = sway_filter.touched(state, felt[0].pushed)
         predicted = state
         if measurements:
             state = bank_filter.correct(self, state, measurements)

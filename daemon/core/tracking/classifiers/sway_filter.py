@@ -130,12 +130,19 @@ def has_taken_over(before: BankState, state: BankState) -> bool:
     return not before.sway_omega or abs(math.log(state.sway_omega / before.sway_omega)) > JUMP
 
 
-def touched(state: BankState) -> BankState:
+def touched(state: BankState, pushed: float = 0.0) -> BankState:
     """Return the state as the tool comes into contact with the body.
 
     Where the body is against the conveyor was seen by another sensor, or not for a while.
+
+    Args:
+        pushed: one sigma of the speed that the tool has given it before [m/s].
     """
     P, variance = state.P.copy(), TOUCHED**2
+    if pushed and state.sway_omega:
+        P[SWAY_QUADRATURE, SWAY_QUADRATURE] += (pushed / state.sway_omega) ** 2
+    elif pushed:
+        P[IMPULSE_QUADRATURE, IMPULSE_QUADRATURE] += (pushed / state.impulse_omega) ** 2
     P[Y, Y] += variance
     P[OFFSET, OFFSET] += variance
     P[Y, OFFSET] -= variance

@@ -28,6 +28,8 @@ MOUNT_DEVIATION = 0.0005  # sigma of the error of a calibrated camera mount [m]
 LEAST_N = 5.0  # mean force across that is one of bolts: more than a tare is wrong by [N]
 MEAN_S = 0.15  # time constant of that mean: the tool rings at 4 Hz or more [s]
 ALIKE_S = 0.1  # in which measurements err alike: the tool stays on a side [s]
+PUSHED_S = 0.3  # for which a mean force has acted on the object: it sways on after that [s]
+LIGHT_KG = 500.0  # modal mass of an object on a carrier; most are heavier [kg]
 UNKNOWN = 1.0  # variance of what is not measured [m^2, rad^2]
 
 
@@ -79,6 +81,17 @@ def averaged(mean: Vector3, contact: Array, dt: float) -> Vector3:
     gain = dt / MEAN_S
     x, y, z = (m + gain * (f - m) for m, f in zip(mean, contact.tolist(), strict=True))
     return x, y, z
+
+
+def pushed(mean: Vector3, tcp: Array, axis: int) -> float:
+    """Return one sigma of the speed that bolts have given the object along an axis of c [m/s].
+
+    Args:
+        mean: force of the contact, averaged [N].
+        tcp: (6,) undeflected, in c.
+    """
+    along = float(rotations.exp(tcp[3:])[axis].dot(mean))
+    return abs(along) * PUSHED_S / LIGHT_KG
 
 
 def measured(place: Array, tcp: Array, delay: float, cycle_s: float) -> PoseMeasurement:
