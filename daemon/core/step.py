@@ -372,6 +372,9 @@ def finish(
             held=not inputs.sent and inputs.pace is None,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
+        if tracking.is_interrupted(parameters.tracker, tracker):
+            state = _withdraw_again(delivered, tracker, planned.windup, parameters)
+            return state, _outputs(state, inputs, planned.report, None, "no reply", parameters)
     # A clamp may have closed unfelt: it is pulled as one that was felt. The distance is infinite
     # before a task is tracked.
     clamped = state.tracker.contact or state.tracker.clamped or abs(state.tracker.distance) < NEAR
@@ -392,6 +395,20 @@ def finish(
     if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
     return state, outputs
+
+
+def _withdraw_again(
+    state: StepState,
+    tracker: tracker_state.TrackerState,
+    wound: WindupState | None,
+    parameters: Parameters,
+) -> StepState:
+    """Return the state of a retraction that begins again where the last command leads the robot."""
+    joints = state.applied
+    pose, axis = _tcp(parameters, joints, wound), _axis(parameters, joints)
+    tracker = tracking.withdraw_again(parameters.tracker, tracker, pose, axis)
+    rest = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
+    return StepState(tracker, rest, joints, moving=True, windup=wound)
 
 
 def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:

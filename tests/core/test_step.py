@@ -29,6 +29,7 @@ from linemate.daemon.core.step import (
 from linemate.daemon.core.tracking import estimation, tracker, tracker_state
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.core.tracking.touch.force_sign import TESTS, UNANSWERED, ForceSign
+from linemate.daemon.core.tracking.touch.withdrawal import WAY
 from linemate.daemon.recording import snapshot
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 
@@ -455,6 +456,24 @@ def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
     way = tool.T @ (np.array(world.outputs.target[:3]) - world.outputs.sensed[:3])
     assert way[2] < -0.1
     assert np.isfinite(commands).all()
+
+
+@pytest.mark.parametrize("lost", [3, 8])
+def test_a_retreat_that_lost_its_commands_goes_on_from_rest(lost: int) -> None:
+    world = tracking(2.4)
+    world.run(0.24, MotionOrder.RETREAT)
+    assert world.outputs is not None
+    stands = world.outputs.command
+    for _ in range(lost):
+        world.step(MotionOrder.RETREAT, sent=False, applied=stands)
+    assert world.outputs.command == stands
+    gone = world.state.tracker.gone
+    assert 0.0 < gone < WAY
+    held = set()
+    world.run(1.2, MotionOrder.RETREAT, each=lambda o: held.add(o.held))
+    assert held <= {None, "limited: tcp"}
+    assert world.outputs.finished
+    assert world.state.tracker.gone == gone
 
 
 def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:

@@ -50,10 +50,13 @@ from linemate.daemon.core.tracking.touch import (
     release,
     tare,
     touch_proof,
+    withdrawal,
 )
 from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
 from linemate.daemon.core.tracking.transverse import TransverseState
 
+LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
+HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
 CLEAR_WAY = 0.05  # way from the object at which a released tool has cleared it [m]
 
 
@@ -86,6 +89,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
             withdrawn=None,
             clamped=False,
             anchor=None,
+            gone=0.0,
             stood=0.0,
         )
     return replace(
@@ -105,6 +109,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         withdrawn=None,
         clamped=False,
         anchor=None,
+        gone=0.0,
         search=guard.NO_SEARCH,
         distance=math.inf,
         stood=0.0,
@@ -114,6 +119,50 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         tare=tare.NO_TARE,
         bolts=bolt_search.NO_BOLT_SEARCH,
     )
+
+
+def is_interrupted(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether a retraction got no commands for so long that it has to begin again.
+
+    A released tool that has not cleared the object goes back to its place instead.
+    """
+    if state.withdrawn is None or state.stood <= LONGEST_CATCH_UP_S:
+        return False
+    return Gate.WHEEL_RELEASED not in state.passed or _gone(tracker, state) > HUB_DEPTH
+
+
+def withdraw_again(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> TrackerState:
+    """Return the state of a retraction that begins again with its plan at rest."""
+    return replace(
+        state,
+        poses=np.tile(pose, (tracker.steps + 1, 1)),
+        axis=linear_axis.at_rest(axis, tracker.axis_steps),
+        departure=None,
+        withdrawn=0.0,
+        gone=_gone(tracker, state),
+        anchor=None,
+    )
+
+
+def _gone(tracker: Tracker, state: TrackerState) -> float:
+    """Return the way of a retraction to which the last command leads that the robot got [m]."""
+    before = (state.withdrawn or 0.0) - state.stood
+    if before <= 0.0:  # it has begun again in the last step already
+        return state.gone
+    times = np.array([before + release.STANDING_S])
+    return state.gone + float(tracker.withdrawal.way(times, state.gone)[0])
+
+
+def _withdraw(tracker: Tracker, state: TrackerState, goal: Array) -> Array:
+    """Return the goal (m, 6) of a tool that withdraws.
+
+    One that begins again at rest takes up the object's speed as gradually as its own.
+    """
+    times = (state.withdrawn or 0.0) + tracker.span
+    goal = approach.withdraw(goal, tracker.withdrawal.way(times, state.gone))
+    if state.gone > 0.0:
+        goal[:, merge.ALONG] -= state.speed * withdrawal.lag(times)
+    return goal
 
 
 def _is_engaged(tracker: Tracker, state: TrackerState) -> bool:
@@ -173,7 +222,7 @@ def track(
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
-        goal = approach.withdraw(goal, tracker.withdrawal.way(state.withdrawn + span))
+        goal = _withdraw(tracker, state, goal)
     goal = merge.rounded(goal, tracker.corner)
     plan = tracker.merge_plan(in_contact=state.contact)
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)
@@ -333,18 +382,18 @@ def _anchor(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) of a retraction that began from a robot at rest."""
     anchor = state.anchor
     if anchor is None:
-        anchor = _rest_offset(state.poses[0], goal[0])
+        off = state.poses[0] - goal[0]
+        anchor = off if state.gone > 0.0 else _rest_offset(off)
         state = replace(state, anchor=anchor)
     return state, goal + anchor if state.started else np.tile(anchor, (len(goal), 1))
 
 
-def _rest_offset(pose: Array, wanted: Array) -> Array:
+def _rest_offset(off: Array) -> Array:
     """Return what a robot that stood keeps between its tcp and the object (6,).
 
     Nothing as long as the tool can still be on the object: then it is brought back to its place.
     Else it follows the object from where it is, for it would be led into the object again.
     """
-    off = pose - wanted
     return np.zeros(6) if float(np.linalg.norm(off[:3])) <= LARGEST_BEND else off
 
 

@@ -146,6 +146,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
         anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
             offset from the object while the task is started; None if it tracked.
+        gone: way of an emergency retraction before it began again at rest [m].
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the classifier starts [m].
         pull: mean force on the tool in contact, or since its clamp was ordered to open [N].
@@ -215,6 +216,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     withdrawn: float | None = None
     clamped: bool = False
     anchor: Array | None = None
+    gone: float = 0.0
     distance: float = math.inf
     readings: tuple[float, ...] = ()
     pull: Vector3 = (0.0, 0.0, 0.0)

@@ -7,10 +7,12 @@ import pytest
 
 from linemate.daemon.core.tracking.touch.withdrawal import (
     FASTEST,
+    RAMP_S,
     SLOWEST,
     WAY,
     Withdrawal,
     compile_withdrawal,
+    lag,
 )
 
 
@@ -24,6 +26,19 @@ def test_a_retraction_goes_its_way_within_its_duration_at_its_speed(speed: float
     speeds = np.diff(way) / np.diff(times)
     assert speeds.min() > -1e-9
     assert speeds.max() == pytest.approx(speed, rel=1e-6)
+
+
+def test_a_retraction_that_begins_again_goes_the_rest_of_its_way() -> None:
+    times = np.linspace(0.0, 1.0, 1001)
+    for gone in (0.02, 0.1, WAY, 0.2):
+        way = Withdrawal(FASTEST).way(times, gone)
+        assert way[-1] == pytest.approx(max(WAY - gone, 0.0))
+        assert (np.diff(way) >= -1e-12).all()
+
+
+def test_an_object_is_taken_up_as_gradually_as_the_way_is() -> None:
+    missing = lag(np.array([-0.1, 0.0, RAMP_S, 1.0]))
+    assert missing == pytest.approx([0.0, 0.0, RAMP_S / 2.0, RAMP_S / 2.0])
 
 
 def test_a_retraction_from_a_moving_object_keeps_the_free_speed_of_the_tcp() -> None:

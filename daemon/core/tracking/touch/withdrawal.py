@@ -34,10 +34,15 @@ class Withdrawal:
         """Time from its begin to its end [s]."""
         return WAY / self.speed + RAMP_S
 
-    def way(self, times: Array) -> Array:
-        """Return the way (m,) at times from its begin (m,) [m]."""
-        gone: Array = self.speed * (_ramp(times) - _ramp(times - WAY / self.speed))
-        return gone
+    def way(self, times: Array, gone: float = 0.0) -> Array:
+        """Return the way (m,) at times from its begin (m,) [m].
+
+        Args:
+            gone: what it has done before it began again [m].
+        """
+        left = max(WAY - gone, 0.0)
+        way: Array = self.speed * (_ramp(times) - _ramp(times - left / self.speed))
+        return way
 
 
 def compile_withdrawal(free_speed: float, conveyor_speed: float) -> Withdrawal:
@@ -48,6 +53,12 @@ def compile_withdrawal(free_speed: float, conveyor_speed: float) -> Withdrawal:
     """
     along = math.sqrt(max((MARGIN * free_speed) ** 2 - conveyor_speed**2, 0.0))
     return Withdrawal(min(max(along, SLOWEST), FASTEST))
+
+
+def lag(times: Array) -> Array:
+    """Return the way (m,) that a speed of 1 lacks as it rises from 0 at time 0 [m]."""
+    missing: Array = np.maximum(times, 0.0) - _ramp(times)
+    return missing
 
 
 def _ramp(times: Array) -> Array:
