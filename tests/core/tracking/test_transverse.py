@@ -1,6 +1,8 @@
 """Across the conveyor: found, plain, predicted; with filterpy and chi-square as witnesses."""
 
 import math
+import subprocess
+import sys
 from dataclasses import replace
 from unittest import mock
 
@@ -120,6 +122,25 @@ def test_the_median_of_the_first_images_forgives_two_outliers_in_five() -> None:
     state = FILTER.initial([bad, good, good, worse, good])
     assert np.allclose(state.x[:2], PLACE[[0, 2]])
     assert off(state, rotations.exp(OFF)) < 1e-3
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_the_median_of_images_is_that_of_numpy(count: int) -> None:
+    rows = list(np.random.default_rng(count).normal(size=(count, 3)))
+    assert transverse._median(rows).tobytes() == np.median(rows, axis=0).tobytes()
+
+
+def test_the_first_images_import_nothing_while_a_robot_is_answered() -> None:
+    """numpy's own median imported 20 ms of modules at the first image after a start."""
+    code = (
+        "import sys, numpy as np\n"
+        "from linemate.daemon.core.tracking import transverse\n"
+        "before = set(sys.modules)\n"
+        "transverse._median([np.zeros(3)] * 5)\n"
+        "print(sorted(set(sys.modules) - before))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
 
 
 def test_an_estimate_that_is_unsure_across_takes_a_felt_place_in_a_tenth_of_a_second() -> None:
