@@ -253,6 +253,8 @@ class App:
                 log.error("not recording: %s", reason)
         if self._station.config.realtime.freeze_collector:
             self._collector.freeze()
+        if self._station.config.realtime.lock_memory:
+            realtime.use_huge_pages()
         self._timer.open()
 
     async def _close(self) -> None:

@@ -13,7 +13,9 @@ from linemate.daemon.config.settings import RealtimeSettings
 from linemate.daemon.service.host.realtime import (
     Collector,
     HelperThreads,
+    heaps,
     request_all,
+    use_huge_pages,
     without_reserves,
 )
 
@@ -162,6 +164,40 @@ def test_a_reserve_is_a_large_nameless_mapping_of_which_little_is_in_use() -> No
         (0x20000000, 0x22000000),
         (0x30000000, 0x32000000),
     ]
+
+
+MAPS = """\
+7f0000000000-7f0000400000 rw-p 00000000 00:00 0
+7f0000500000-7f0000a00000 rw-p 00000000 00:00 0 [heap]
+7f0000a00000-7f0000b00000 rw-p 00000000 00:00 0
+7f0010000000-7f0010400000 r-xp 00000000 fe:00 12 /usr/lib/libpython3.11.so
+7f0020000000-7f0020400000 rw-p 00000000 fe:00 12 /usr/lib/libpython3.11.so
+7f0030000000-7f0030400000 ---p 00000000 00:00 0
+7fff00000000-7fff00400000 rw-p 00000000 00:00 0 [stack]
+"""
+
+
+def test_only_whole_huge_pages_of_objects_are_moved() -> None:
+    assert heaps(MAPS) == [
+        (0x7F0000000000, 0x7F0000400000),
+        (0x7F0000600000, 0x7F0000A00000),
+    ]
+
+
+def test_a_kernel_that_moves_nothing_is_no_error() -> None:
+    # The mapping is not there.
+    assert use_huge_pages("10000000-10400000 rw-p 00000000 00:00 0\n") == 0
+
+
+def test_moved_objects_stay_as_they_are() -> None:
+    code = (
+        "from linemate.daemon.service.host import realtime; "
+        "kept = [bytes((n % 251,)) * 1000 for n in range(20000)]; "
+        "realtime.use_huge_pages(); "
+        "print(all(each == bytes((n % 251,)) * 1000 for n, each in enumerate(kept)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
 
 
 def test_the_timer_slack_of_an_ordinary_process_is_as_configured() -> None:

@@ -31,6 +31,8 @@ MOST_USED: Final = 8  # such a mapping is a reserve while less than an eighth of
 BLAS_SIDE: Final = 128  # of matrices that are too large for the kernels without a buffer
 THREAD_STACK: Final = 1 << 20  # instead of 8 MiB, all of which would be locked [bytes]
 PR_SET_TIMERSLACK: Final = 29
+MADV_COLLAPSE: Final = 25  # since Linux 6.1
+HUGE_PAGE: Final = 2 << 20  # [bytes]
 CAP_IPC_LOCK: Final = 14
 DMA_LATENCY: Final = Path("/dev/cpu_dma_latency")
 SWITCH_S: Final = 0.0005  # longest wait of the loop for a thread that computes [s]
@@ -207,6 +209,40 @@ def without_reserves(smaps: str) -> list[tuple[int, int]]:
             if size >= LEAST_RESERVE and int(words[1]) * 1024 * MOST_USED < size:
                 reserves.pop()
     return reserves
+
+
+def use_huge_pages(maps: str | None = None) -> int:
+    """Move the objects of a start to huge pages, and return how many mappings have some now.
+
+    A step touches objects all over them: on small pages each cycle costs 5 to 10 % more. What is
+    allocated later stays on small pages, so that no fault has to clear 2 MiB.
+
+    Args:
+        maps: as in ``/proc/self/maps``; by default this process'.
+    """
+    if maps is None:
+        maps = Path("/proc/self/maps").read_text(encoding="utf-8")
+    moved = 0
+    for begin, end in heaps(maps):
+        # An old kernel, or a range that is empty: the pages stay as they are.
+        with contextlib.suppress(OSError):
+            _libc("madvise", begin, end - begin, MADV_COLLAPSE)
+            moved += 1
+    return moved
+
+
+def heaps(maps: str) -> list[tuple[int, int]]:
+    """Return begin and end of the whole huge pages in each mapping of objects in a ``maps``."""
+    ranges = []
+    for line in maps.splitlines():
+        words = line.split()
+        if not words[1].startswith("rw") or (len(words) > 5 and words[5] != "[heap]"):
+            continue
+        begin, end = (int(address, 16) for address in words[0].split("-"))
+        begin, end = -(-begin // HUGE_PAGE) * HUGE_PAGE, end // HUGE_PAGE * HUGE_PAGE
+        if begin < end:
+            ranges.append((begin, end))
+    return ranges
 
 
 def _may_lock_all() -> bool:
