@@ -389,9 +389,10 @@ class Stepper:
         if self._new_parameters is not None:
             self._apply_swap(self._new_parameters)
             state = self._opened()
-        before = self.machine
-        self.operating.decide(stamp_ns, self.samples, self._situation(), telegram=telegram)
-        started = self.machine is not before and self.machine.state is State.TRACK
+        operating, before = self.operating, self.machine
+        operating.decide(stamp_ns, self.samples, self._situation(), telegram=telegram)
+        machine = operating.machine
+        started = machine is not before and machine.state is State.TRACK
         sent, applied, pace = self._delivery(self.steps, answering=answering)
         inputs = Inputs(
             self.steps,
@@ -400,12 +401,12 @@ class Stepper:
             samples.distance,
             samples.camera,
             samples.wrench,
-            states.order(self.machine),
+            states.order(machine),
             started,
             sent,
             applied,
             pace,
-            self._poses.drain(follows=self.machine.state is State.FOLLOW),
+            self._poses.drain(follows=machine.state is State.FOLLOW),
         )
         self._robot = None
         made_with = self.parameters
@@ -415,7 +416,7 @@ class Stepper:
             self.samples.camera_health.add_result(len(samples.camera), outputs.refused)
         self.steps += 1
         self._stamp_ns = stamp_ns
-        shown = self.machine.state.value
+        shown = machine.state.value
         entry = LogEntry(counter, shown, inputs, outputs, state, self._state, made_with)
         return entry, plan
 

@@ -94,8 +94,10 @@ class CycleTiming:
         )
 
     def _note_ages(self, entry: LogEntry) -> None:
-        inputs = entry.inputs
-        for name in ("distance", "camera", "wrench"):
-            samples = getattr(inputs, name)
-            if samples:
-                self.timing.note_age(name, inputs.stamp_ns - samples[-1].stamp_ns)
+        inputs, note_age = entry.inputs, self.timing.note_age
+        if inputs.distance:
+            note_age("distance", inputs.stamp_ns - inputs.distance[-1].stamp_ns)
+        if inputs.camera:
+            note_age("camera", inputs.stamp_ns - inputs.camera[-1].stamp_ns)
+        if inputs.wrench:
+            note_age("wrench", inputs.stamp_ns - inputs.wrench[-1].stamp_ns)

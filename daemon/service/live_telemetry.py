@@ -15,6 +15,7 @@ import numpy as np
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.cycle.clock.timing import CycleTimes
 from linemate.daemon.cycle.step_log import LogEntry
+from linemate.protocol.stamped_samples import RobotSample
 
 HORIZON_POINTS: Final = 8  # positions of the horizon, the first and the last among them
 EVENTS: Final = 2  # in one telemetry; their numbers show which were missed
@@ -36,22 +37,22 @@ class LiveTelemetry:
     _events: deque[tuple[int, int, str]] = field(default_factory=lambda: deque(maxlen=EVENTS))
     _turnarounds: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT_CYCLES))
     _entry: LogEntry | None = None
-    _joints: tuple[float, ...] | None = None
-    _joints_ns: int = 0
+    _robot: RobotSample | None = None
     _newest: dict[str, Any] = field(default_factory=dict)
 
     def record(self, entries: Iterable[LogEntry], times: Iterable[CycleTimes] = ()) -> None:
         """Record steps and the times of their cycles, oldest first."""
         for entry in entries:
             self._entry = entry
-            inputs = entry.inputs
+            inputs, newest = entry.inputs, self._newest
             if inputs.robot is not None:
-                self._joints = (*inputs.robot.joints, *inputs.robot.external)
-                self._joints_ns = inputs.robot.stamp_ns
-            for name in ("distance", "camera", "wrench"):
-                samples = getattr(inputs, name)
-                if samples:
-                    self._newest[name] = samples[-1]
+                self._robot = inputs.robot
+            if inputs.distance:
+                newest["distance"] = inputs.distance[-1]
+            if inputs.camera:
+                newest["camera"] = inputs.camera[-1]
+            if inputs.wrench:
+                newest["wrench"] = inputs.wrench[-1]
             for what, how in entry.outputs.events:
                 self.add_event(inputs.stamp_ns, f"conveyor: {what} {how}")
         for cycle in times:
@@ -77,9 +78,11 @@ class LiveTelemetry:
         if entry is None:
             return shown
         now_ns = entry.inputs.stamp_ns
-        if self._joints is not None:
-            shown["measured"] = self._joints[: len(entry.outputs.command)]
-            shown["measured_ns"] = self._joints_ns
+        robot = self._robot
+        if robot is not None:
+            joints = (*robot.joints, *robot.external)
+            shown["measured"] = joints[: len(entry.outputs.command)]
+            shown["measured_ns"] = robot.stamp_ns
         shown["ages_ms"] = {
             name: round(max(0, now_ns - sample.stamp_ns) / 1e6, 1)
             for name, sample in self._newest.items()

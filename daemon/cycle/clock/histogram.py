@@ -13,6 +13,7 @@ PER_OCTAVE = 8
 OCTAVES = 40  # of nanoseconds: up to 18 minutes
 TOGETHER = 32  # values that are sorted into buckets at once
 LAST = PER_OCTAVE * OCTAVES - 1  # bucket of all longer values
+LEADING = 4  # bits of a value that choose its bucket; a shorter value is its own
 EDGE_OCTAVES = range(14, 28)  # of a status' histograms: 16 us to 134 ms
 EDGES_NS = tuple(1 << octave for octave in EDGE_OCTAVES)
 
@@ -48,8 +49,11 @@ class Histogram:
         self._count += len(values)
         self._sum_ns += sum(values)
         self._greatest_ns = max(self._greatest_ns, *values)
+        buckets = self._buckets
         for value in values:
-            self._buckets[min(_bucket(value), LAST)] += 1
+            shift = value.bit_length() - LEADING
+            index = value if shift < 0 else (shift + 2) * PER_OCTAVE + (value >> shift)
+            buckets[min(LAST, index)] += 1
 
     def percentile(self, share: float) -> float | None:
         """A duration that this share of all does not exceed.
@@ -83,13 +87,6 @@ class Histogram:
         summary = {name: self.percentile(share) for name, share in shares.items()}
         summary["max"] = self._greatest_ns / 1e9 if self._count else None
         return {k: None if v is None else round(v * 1e6, 1) for k, v in summary.items()}
-
-
-def _bucket(value: int) -> int:
-    shift = value.bit_length() - 4
-    if shift < 0:
-        return value  # fewer values than buckets
-    return (shift + 2) * PER_OCTAVE + (value >> shift)
 
 
 def _edge(index: int) -> int:

@@ -184,7 +184,8 @@ class SensorQueues:
         return tuple([replace(sample, position=sample.position + offset) for sample in distance])
 
     def _check_overload(self, sample: WrenchSample, limit: float, weight: Vector3) -> None:
-        x, y, z = (f - w for f, w in zip(sample.force, weight, strict=True))
+        (x, y, z), (u, v, w) = sample.force, weight
+        x, y, z = x - u, y - v, z - w
         square = x * x + y * y + z * z
         is_beyond = square > limit * limit
         if is_beyond:
@@ -203,18 +204,18 @@ class SensorQueues:
     @property
     def newest_ns(self) -> int | None:
         """Stamp of the newest position, distance or camera [ns]."""
-        stamps = self._position_stamps()
-        return max(stamps) if stamps else None
+        distance_ns, camera_ns = self.distance.newest_ns, self.camera.newest_ns
+        if distance_ns is None or camera_ns is None:
+            return camera_ns if distance_ns is None else distance_ns
+        return max(distance_ns, camera_ns)
 
     @property
     def slower_ns(self) -> int | None:
         """Stamp of the newest sample of that of the two whose newest is older [ns]."""
-        stamps = self._position_stamps()
-        return min(stamps) if stamps else None
-
-    def _position_stamps(self) -> list[int]:
-        stamps = (self.distance.newest_ns, self.camera.newest_ns)
-        return [stamp_ns for stamp_ns in stamps if stamp_ns is not None]
+        distance_ns, camera_ns = self.distance.newest_ns, self.camera.newest_ns
+        if distance_ns is None or camera_ns is None:
+            return camera_ns if distance_ns is None else distance_ns
+        return min(distance_ns, camera_ns)
 
     def status(self, now_ns: int) -> dict[str, Any]:
         """Return each sensor's health, drops, and the age of its newest sample [s]."""

@@ -326,15 +326,21 @@ class BankModel:
 
     def speed_share(self, speed: float) -> float:
         """Return the share of the nominal speed, with which every ripple fades."""
-        return min(max(speed / self.conveyor.nominal_speed, 0.0), 1.0)
+        share = speed / self.conveyor.nominal_speed
+        return share if 0.0 <= share <= 1.0 else min(max(share, 0.0), 1.0)
+
+    @cached_property
+    def _ripple_omega(self) -> float:
+        """The configured frequency of the periodic ripple at full speed [rad/s]."""
+        return 2.0 * math.pi * self.ripple.frequency_hz
 
     def ripple_omega(self, state: BankState) -> float:
         """Return the estimated frequency of the periodic ripple at full speed [rad/s]."""
-        return 2.0 * math.pi * self.ripple.frequency_hz * state.ripple_factor
+        return self._ripple_omega * state.ripple_factor
 
     def ripple_rate(self, state: BankState) -> float:
         """Return its frequency now [rad/s]: a sprocket turns with the conveyor's way."""
-        return self.ripple_omega(state) * self.speed_share(float(state.x[V]))
+        return self._ripple_omega * state.ripple_factor * self.speed_share(float(state.x[V]))
 
     def transition(self, state: BankState, dt: float) -> Array:
         """Return A (15, 15) of (5), linearised in the errors of the frequencies."""
