@@ -204,7 +204,7 @@ class DatagramSocket:
                 [self._buffer], ANCILLARY_BYTES
             )
         except (BlockingIOError, InterruptedError):
-            self.clock.drained(paired_clocks()[0])
+            self.clock.drained(time.monotonic_ns())
             return None
         return self.stamped((bytes(memoryview(self._buffer)[:size]), ancillary, flags, source))
 

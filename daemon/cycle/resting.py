@@ -165,15 +165,19 @@ class RestingStepper(Stepper):
 
     def _is_quiet(self) -> bool:
         """Return whether the link is healthy and nothing waits for the next decision or step."""
-        operating = self.operating
-        is_eventful = operating.has_new_session or operating.has_resynchronised
-        is_eventful = is_eventful or operating.is_reply_lost or operating.has_failed
-        if is_eventful or operating.wrong_cycle is not None or self._new_parameters is not None:
-            return False
-        session, following = self.session, self.following
-        is_settling = session.held == session.reference and not following.is_resting
-        is_still = following.error is None and not is_settling
-        return is_still and operating.signals.link is Link.HEALTHY and operating.rests
+        operating, session, following = self.operating, self.session, self.following
+        return not (
+            operating.has_new_session
+            or operating.has_resynchronised
+            or operating.is_reply_lost
+            or operating.has_failed
+            or operating.wrong_cycle is not None
+            or self._new_parameters is not None
+            or following.error is not None
+            or operating.signals.link is not Link.HEALTHY
+            or not operating.rests
+            or (session.held == session.reference and not following.is_resting)
+        )
 
     def _end_rest_by(
         self, rest: Rest, telegram: ControllerTelegram, decision: TelegramDecision

@@ -149,13 +149,13 @@ class TelegramReader:
         groups = match.groups()
         return (groups if self._order is None else self._order(groups)), self._type
 
-    def _groups_of(self, fields: Sequence[int]) -> tuple[int, ...]:
+    def _groups_of(self, fields: tuple[int, ...]) -> tuple[int, ...]:
         """Return the pattern's groups of positions in ``Layout.fields``, then the IPOC's."""
-        key = tuple(fields)
-        if key not in self._groups:
-            whole = (*key, len(self._layout.fields))
-            self._groups[key] = tuple([1 + self._seen.index(n) for n in whole])
-        return self._groups[key]
+        groups = self._groups.get(fields)
+        if groups is None:
+            whole = (*fields, len(self._layout.fields))
+            groups = self._groups[fields] = tuple([1 + self._seen.index(n) for n in whole])
+        return groups
 
     def _read_tolerantly(self, data: bytes) -> tuple[Texts, str]:
         self.tolerant += 1
@@ -253,6 +253,8 @@ class RobotReader(TelegramReader):
         # Of the last expected telegram: a robot at rest has the same ones in each cycle.
         self._bounds: tuple[Vector6 | None, float, tuple[float, ...], tuple[float, ...]]
         self._bounds = None, 0.0, (), ()
+        delay = () if layout.delay is None else (layout.delay,)
+        self._expected = () if self._joints is None else (*self._joints.fields, *delay)
 
     def parse(self, data: bytes) -> RobotTelegram:
         """Return the values of a telegram.
@@ -290,15 +292,15 @@ class RobotReader(TelegramReader):
         vector, position = self._joints, self._layout.delay
         if vector is None or (delay is None) != (position is None):
             return None
-        scales, fields, texts = vector.scales, vector.fields, [b"%d" % ipoc]
-        if delay is not None and position is not None:
-            fields, texts = (*fields, position), [b"%d" % delay, *texts]
+        texts = [b"%d" % ipoc] if delay is None else [b"%d" % delay, b"%d" % ipoc]
         kept, kept_reach, low, high = self._bounds
         if joints is not kept or reach != kept_reach:
+            scales = vector.scales
             low = tuple([(q - reach) / scale for q, scale in zip(joints, scales, strict=True)])
             high = tuple([(q + reach) / scale for q, scale in zip(joints, scales, strict=True)])
             self._bounds = joints, reach, low, high
-        return ExpectedTelegram(self._pattern.fullmatch, self._groups_of(fields), texts, low, high)
+        groups = self._groups_of(self._expected)
+        return ExpectedTelegram(self._pattern.fullmatch, groups, texts, low, high)
 
 
 class SensorReader(TelegramReader):
