@@ -62,6 +62,13 @@ def test_a_larger_amplitude_is_taken_only_where_it_explains_more() -> None:
         assert float(likeliest.amplitudes[0]) == pytest.approx(amplitude, abs=0.2)
 
 
+def test_a_prior_does_not_hold_below_its_least_amplitude() -> None:
+    bank = onset_bank.begin(np.ones(1), (0.0,))
+    bank.sums[:2, 0] = 40.0, 48.0
+    even = AmplitudePrior(1.0, 8.0**2, 1.5)
+    assert onset_bank.posterior(bank, even).odds == pytest.approx(onset_bank.NONE)
+
+
 def test_no_hypothesis_cannot_be_merged() -> None:
     with pytest.raises(ValueError, match="no hypothesis"):
         onset_bank.merge_moments(onset_bank.empty(1), np.zeros((1, 0)), onset_bank.NO_POSTERIOR)

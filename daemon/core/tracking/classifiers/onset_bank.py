@@ -199,6 +199,7 @@ def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Ar
     ratio[mean * prior.mean < 0.0] = NONE
     if prior.odds:
         ratio += prior.odds
+    if prior.least > -math.inf:
         ratio[mean < prior.least] = NONE
     return ratio, mean
 
