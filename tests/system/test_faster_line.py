@@ -27,7 +27,6 @@ def events(*orders: tuple[float, float]) -> str:
         (2002, ((11.638, -0.163), (15.622, 0.078), (16.252, -0.183))),
         (2014, ((10.022, -0.167), (12.17, 0.082))),
         (1003, ((11.096, -0.104), (11.636, 0.4))),
-        (1005, ((9.019, -0.276), (12.249, 0.076), (13.288, -0.249), (15.566, 0.374))),
     ],
 )
 def test_a_start_faster_than_stated_tears_no_mount(
@@ -37,4 +36,4 @@ def test_a_start_faster_than_stated_tears_no_mount(
     changes = [events(*orders), "scenario.duration_s=17.5"]
     evidence = lockstep.run(setup.make("plant-floor", changes), seed)
     assert evidence.collision is None
-    assert judge(evidence)["contact_force_n"]["max"] < 330.0
+    assert judge(evidence)["contact_force_n"]["max"] < 250.0

@@ -47,10 +47,7 @@ from linemate.daemon.core.tracking.classifiers.distance import (
     distance_check,
     distance_step,
 )
-from linemate.daemon.core.tracking.classifiers.distance.distance_change import (
-    SHARES,
-    DistanceChange,
-)
+from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
 from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
@@ -327,8 +324,6 @@ class BankClassifier(BankModel):
             0.0 if stands else float(state.guide.x[V]),
             math.hypot(STANDING_DEVIATION, left) if stands else LED_DEVIATION,
             self.distance_deviation,
-            # A frozen sensor looks like a stop that is fast enough.
-            self.faster_priors[state.motion] if stands else None,
         )
         limit = self.bank.start_confirmed if stands else SURE_STOP
         if change is None or change.odds <= limit:
@@ -354,9 +349,8 @@ class BankClassifier(BankModel):
         known = [Y, V, RANDOM, OFFSET, ACCELERATION]
         P[known, :] = P[:, known] = 0.0
         # The sensor is too coarse to show whether a change is faster or began earlier.
-        is_faster = declared.share > SHARES[1]
         unsure = math.hypot(
-            (UNSURE if is_faster else self.bank.amplitude_deviation) * change,
+            self.bank.amplitude_deviation * change,
             self.faster_amplitude(state) * self.changes[state.motion],
         )
         P[ACCELERATION, ACCELERATION], P[V, ACCELERATION] = unsure**2, unsure**2 * onset

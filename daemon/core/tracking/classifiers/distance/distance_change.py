@@ -6,8 +6,6 @@ start of 13 mm/s^2 is certain after 0.5 s. Each onset of a grid is fitted to its
 with and without the change.
 """
 
-import math
-
 import numpy as np
 from msgspec import Struct
 
@@ -16,7 +14,6 @@ from linemate.daemon.core.tracking.classifiers.distance.distance_check import (
     LEAST_READINGS,
     LEVEL_DEVIATION,
 )
-from linemate.daemon.core.tracking.classifiers.onset_bank import NONE, AmplitudePrior
 
 ONSETS = np.linspace(0.12, 0.84, 13)  # time since the change began [s]
 LEAST_BEFORE_S = 0.12  # of readings before the onset, which show the motion without the change [s]
@@ -43,12 +40,7 @@ class DistanceChange(Struct, frozen=True):
 
 
 def find(
-    readings: Array,
-    change: float,
-    speed: float,
-    speed_deviation: float,
-    deviation: float,
-    faster: AmplitudePrior | None = None,
+    readings: Array, change: float, speed: float, speed_deviation: float, deviation: float
 ) -> DistanceChange | None:
     """Return the likeliest change; None if there is none that fits the readings.
 
@@ -60,7 +52,6 @@ def find(
         speed: steady one before the change [m/s].
         speed_deviation: one sigma of it [m/s].
         deviation: one sigma of a reading [m].
-        faster: prior of the share of a change that is faster than configured, None without one.
     """
     ages, values = readings
     if len(ages) < LEAST_READINGS:
@@ -79,13 +70,6 @@ def find(
     power = np.einsum("ij,ij->i", left, changed)
     shares = (left @ way) / np.maximum(power, 1e-12)
     odds = (shares - 0.5) * power / deviation**2
-    lowest, highest = SHARES
-    if faster is not None:
-        # The likeliest share of each onset, where it is that of a faster change.
-        free = 0.5 * shares * shares * power / deviation**2 + faster.odds
-        free[shares < faster.least] = NONE
-        if float(free.max()) > float(odds.max()):
-            odds, highest = free, math.inf
     best = int(odds.argmax())
     share = float(shares[best])
     level, more = (fitted @ (way - share * changed[best])).tolist()
@@ -94,7 +78,7 @@ def find(
     recent = residual[ages <= onset]
     limit = (LARGEST_RESIDUAL * deviation) ** 2
     fits = all(float(each @ each) < limit * len(each) for each in (residual, recent))
-    if not fits or not lowest <= share <= highest:
+    if not fits or not SHARES[0] <= share <= SHARES[1]:
         return None
     now = float(values[-1]) + level + 0.5 * share * change * onset * onset
     return DistanceChange(float(odds[best]), onset, share, speed + more, now)
