@@ -23,7 +23,7 @@ def events(*orders: tuple[float, float]) -> str:
 @pytest.mark.parametrize(
     ("seed", "orders"),
     [
-        # Each of them tore the mount while the classifier held on to the stated acceleration.
+        # While the classifier held on to the stated acceleration: torn, 312 N, torn.
         (2002, ((11.638, -0.163), (15.622, 0.078), (16.252, -0.183))),
         (2014, ((10.022, -0.167), (12.17, 0.082))),
         (1003, ((11.096, -0.104), (11.636, 0.4))),

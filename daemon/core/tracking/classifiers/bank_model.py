@@ -44,7 +44,7 @@ RIPPLE, RIPPLE_QUADRATURE, FREQUENCY, SLIP, SWAY, SWAY_QUADRATURE, PACE, GAIN = 
 RAMPS = (Motion.STOPPING, Motion.STARTING)
 RIPPLE_FACTORS = (0.7, 1.4)  # range of the ripple's frequency over the configured one
 EPSILON = 1e-9  # mean of an amplitude whose sign alone is known
-LEAST_SHARE = 0.02  # of a faster change that widens the estimate of another
+LEAST_FASTER = 0.02  # of a faster change that widens the estimate of another
 FASTER_SIGMAS = 3.0  # beyond the configured acceleration from which a change is a faster one
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
@@ -249,7 +249,7 @@ class BankModel:
         usual = onset_bank.posterior(state.changes, self.change_prior)
         wider = onset_bank.posterior(state.changes, faster)
         share = 1.0 / (1.0 + math.exp(min(usual.odds - wider.odds, 30.0)))
-        if share < LEAST_SHARE:
+        if share < LEAST_FASTER:
             return 0.0
         return math.sqrt(share) * float(wider.weights.dot(wider.amplitudes))
 

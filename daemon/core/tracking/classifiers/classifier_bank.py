@@ -281,14 +281,14 @@ class BankClassifier(BankModel):
             return None
         stop = self.changes[Motion.RUNNING]
         prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
-        share = self.faster_priors[Motion.RUNNING]
+        faster = self.faster_priors[Motion.RUNNING]
         return distance_step.find(
             state.readings,
             prior,
             state.cruise,
             RUNNING_DEVIATION,
             self.distance_deviation,
-            share and AmplitudePrior(stop, share.variance * stop**2, share.least, share.odds),
+            faster and AmplitudePrior(stop, faster.variance * stop**2, faster.least, faster.odds),
         )
 
     def _accept_step(self, state: BankState, step: DistanceStep) -> BankState:
