@@ -313,7 +313,7 @@ def test_every_cycle_and_cell_is_counted_for_itself(
     assert [(each["cell"], each["cycle_ms"]) for each in campaigns] == [
         ("drawn", 12),
         ("drawn", 4),
-        *((cell, 12) for cell in dst_plan.CELLS),
+        *((cell, 12) for cell in (*dst_plan.CELLS, dst_plan.OTHER_LINE)),
         ("fanuc", 8),
         ("egm", 4),
     ]

@@ -1,9 +1,11 @@
 """The cells of the fault campaign: what each differs in, and that its files fit together."""
 
+from dataclasses import replace
+
 import pytest
 
 from linemate.daemon.commissioning.rehearsal import rehearse
-from linemate.simulators.lab.faults import dst_plan
+from linemate.simulators.lab.faults import dst, dst_plan
 from linemate.simulators.lab.faults.dst_cells import (
     CELLS,
     SHIPPED,
@@ -14,7 +16,8 @@ from linemate.simulators.lab.faults.dst_cells import (
     station,
     station_of,
 )
-from linemate.simulators.lab.faults.dst_plan import FaultPlan
+from linemate.simulators.lab.faults.dst_plan import OTHER_LINE, FaultPlan
+from linemate.simulators.plants.conveyor_plan import Conveyor
 from linemate.simulators.plants.scenario import Contact
 
 
@@ -32,7 +35,7 @@ def test_a_cell_has_files_that_fit_and_limits_for_seven_axes(cell: str) -> None:
 
 
 def test_what_can_be_drawn_is_what_there_is() -> None:
-    assert {SHIPPED, *dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS} == set(CELLS)
+    assert {SHIPPED, *dst.ASKED_CELLS} == set(CELLS)
 
 
 def test_the_second_layout_tells_set_positions() -> None:
@@ -53,3 +56,16 @@ def test_a_cell_whose_sensor_shows_stops_too_late_has_a_line_that_announces_them
     assert announced is not None
     assert scenario_of(FaultPlan(1, cell="tf03")).conveyor.stop_signal.bit == announced
     assert scenario_of(FaultPlan(1)).conveyor.stop_signal.bit is None
+
+
+def test_another_line_has_the_faults_of_each_plan_and_changes_that_no_task_file_states() -> None:
+    for seed in range(40):
+        plan, other = dst_plan.draw(seed, cell=SHIPPED), dst_plan.draw(seed, cell=OTHER_LINE)
+        assert replace(other, cell=SHIPPED, events=plan.events) == plan
+        onsets = [event.onset_s for event in other.events]
+        assert onsets == sorted(onsets)
+        assert dst_plan.draw(seed, cell=OTHER_LINE) == other
+    lines = [dst_plan.draw(seed, cell=OTHER_LINE).events for seed in range(40)]
+    stated = Conveyor().events[0].acceleration
+    assert {len(events) for events in lines} == {2, 4}
+    assert sum(events[0].acceleration != stated for events in lines) > 20

@@ -40,10 +40,13 @@ SHRINKING = 200
 
 KEPT = Path("tests/dst/regressions.txt")
 
+ASKED_CELLS = (*dst_plan.CELLS, dst_plan.OTHER_LINE, *dst_plan.FAMILY_CYCLES_MS)
+"""Cells of which every seed can be run."""
+
 EVERY: tuple[tuple[CycleMs | None, str | None], ...] = (
     (12, None),
     (4, None),
-    *((None, cell) for cell in (*dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS)),
+    *((None, cell) for cell in ASKED_CELLS),
 )
 """Cycle and cell of each campaign of ``--every``."""
 
@@ -101,7 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--cell",
-        choices=(*dst_plan.CELLS, *dst_plan.FAMILY_CYCLES_MS),
+        choices=ASKED_CELLS,
         help="another cell or family of controllers",
     )
     parser.add_argument(

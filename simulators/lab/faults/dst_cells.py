@@ -17,7 +17,7 @@ from linemate.simulators.devices.limit_judge import LIMITS, AxisLimit
 from linemate.simulators.devices.robot_plant import seven
 from linemate.simulators.harness.cell import families
 from linemate.simulators.harness.lockstep import parameters
-from linemate.simulators.lab.faults.dst_plan import CycleMs, FaultPlan
+from linemate.simulators.lab.faults.dst_plan import OTHER_LINE, CycleMs, FaultPlan
 from linemate.simulators.plants.conveyor_plan import Conveyor, StopSignal
 from linemate.simulators.plants.scenario import (
     Body,
@@ -75,6 +75,7 @@ CELLS: dict[str, FaultCell] = {
         stop_bit=4,
     ),
     "no-force": FaultCell("dst_no_force.yaml", force_torque=None),
+    OTHER_LINE: FaultCell("dst_daemon.yaml"),
     "fanuc": FaultCell("dst_fanuc.yaml"),
     "egm": FaultCell("dst_egm.yaml"),
 }

@@ -17,6 +17,7 @@ from typing import Any, Literal
 
 from linemate.simulators.devices.faults import KINDS
 from linemate.simulators.lab.faults import dst_plan_rows
+from linemate.simulators.lab.world import drawn_line
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 
@@ -86,6 +87,8 @@ CELLS = ("second-layout", "six-axes", "ft300", "tf03", "no-force")
 FAMILY_CYCLES_MS: dict[str, CycleMs] = {"fanuc": 8, "egm": 4}
 """Cells of the other families of controllers, and their cycles: drawn only if asked for, so that
 no seed of the others changes."""
+OTHER_LINE = "other-line"
+"""Cell whose line stops and starts otherwise than its task file states; drawn only if asked for."""
 MEANINGLESS: dict[str, frozenset[str]] = {
     "fanuc": frozenset({"ipoc_flip", "unreadable", "exponent", "forged", "readdress"}),
     "egm": frozenset({"ipoc_flip", "unreadable", "exponent", "forged"}),
@@ -176,12 +179,14 @@ def draw(seed: int, cycle_ms: CycleMs | None = None, cell: str | None = None) ->
 
     Args:
         cycle_ms: None: 12, or the cell's own.
-        cell: one of ``CELLS`` or ``FAMILY_CYCLES_MS``; None draws among those with RSI.
+        cell: one of ``CELLS``, ``OTHER_LINE`` or ``FAMILY_CYCLES_MS``; None draws among ``CELLS``.
     """
     if cell is not None:
         plan = _draw(seed, cycle_ms or FAMILY_CYCLES_MS.get(cell, 12))
         meaningless = MEANINGLESS.get(cell, frozenset())
         faults = tuple(f for f in plan.faults if f.kind not in meaningless)
+        if cell == OTHER_LINE:
+            plan = replace(plan, events=_other_events(seed, plan.duration_s))
         return replace(plan, cell=cell, faults=faults)
     return _draw(seed, cycle_ms or 12)
 
@@ -216,6 +221,19 @@ def _events(chance: random.Random, duration_s: float) -> tuple[ConveyorEvent, ..
         return (stop,)
     start_s = round(stop_s + chance.uniform(0.3, 1.5), 3)
     return (stop, ConveyorEvent("start", start_s, Conveyor().events[1].acceleration))
+
+
+def _other_events(seed: int, duration_s: float) -> tuple[ConveyorEvent, ...]:
+    """Draw one or two stops, and the starts after them."""
+    chance = random.Random(f"{seed}/line")  # noqa: S311 - noise, not a secret
+    events, at_s = [], chance.uniform(EARLIEST_STOP_S, duration_s)
+    for _ in range(chance.choice((1, 2))):
+        stop, start = drawn_line.LINES[drawn_line.NAME].accelerations(chance)
+        start_s = at_s + chance.uniform(0.2, 1.5)
+        events.append(ConveyorEvent("stop", round(at_s, 3), round(stop, 3)))
+        events.append(ConveyorEvent("start", round(start_s, 3), round(start, 3)))
+        at_s = start_s + chance.uniform(0.2, 1.5)
+    return tuple(events)
 
 
 def _trouble(density: int, chance: random.Random, duration_s: float) -> tuple[Fault, ...]:

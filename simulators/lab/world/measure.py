@@ -25,13 +25,18 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.worker_pool import progress_bar, spread
-from linemate.simulators.lab.world import as_identified, drawn_world, world_table
+from linemate.simulators.lab.world import as_identified, drawn_line, drawn_world, world_table
 from linemate.simulators.lab.world.as_identified import CellJob
 from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 
 WORKERS = 2
 SCENARIOS = ("plant-floor", "plant-floor-harsh")
 """Scenario files that are measured like rows."""
+DRAWN = {
+    drawn_world.NAME: drawn_world.WHAT,
+    **{name: line.what for name, line in drawn_line.LINES.items()},
+}
+"""Rows of which each seed draws its own, and what they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,18 +92,18 @@ def known() -> tuple[str, ...]:
 
     shipped = scenario_file.shipped()
     floors = (name for name in SCENARIOS if name in shipped)
-    return (*world_rows.rows(), *floors, drawn_world.NAME)
+    return (*world_rows.rows(), *floors, *DRAWN)
 
 
 def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
-    """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all but drawn.
+    """Names of rows, separated by commas; ``sway*`` is all that begin so; None is all not drawn.
 
     Raises:
         SetupError: no such row.
     """
     every = known() if world == OWN else tuple(MUJOCO_ROWS)
     if text is None:
-        return tuple(name for name in every if name != drawn_world.NAME)
+        return tuple(name for name in every if name not in DRAWN)
     names: list[str] = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         begin = name.removesuffix("*")
@@ -113,8 +118,8 @@ def what(name: str) -> str:
     """What a row changes, in one line."""
     if name in MUJOCO_ROWS:
         return MUJOCO_ROWS[name].what
-    if name == drawn_world.NAME:
-        return drawn_world.WHAT
+    if name in DRAWN:
+        return DRAWN[name]
     row = world_rows.rows().get(name)
     return "all effects at once" if row is None else row.what
 
@@ -134,9 +139,7 @@ def prepare(
         return _setup(name, overrides, cycle_ms, seed)
 
     return [
-        WorldJob(
-            name, setup_of(name, seed if name == drawn_world.NAME else None), seed, kept, sources
-        )
+        WorldJob(name, setup_of(name, seed if name in DRAWN else None), seed, kept, sources)
         for name in names
         for seed in seeds
     ]
@@ -161,8 +164,9 @@ def _setup(name: str, overrides: Sequence[str], cycle_ms: float | None, seed: in
     if name in MUJOCO_ROWS:
         return prepared(name, tuple(overrides), cycle_ms)
     if seed is not None:
-        sets = (*drawn_world.overrides(seed), *overrides)
-        return setup.make(drawn_world.BASE, sets, cycle_ms=cycle_ms)
+        is_line = name in drawn_line.LINES
+        drawn = drawn_line.overrides(name, seed) if is_line else drawn_world.overrides(seed)
+        return setup.make(drawn_world.BASE, (*drawn, *overrides), cycle_ms=cycle_ms)
     listed = name in world_rows.rows()
     return setup.make(world_rows.PREFIX + name if listed else name, overrides, cycle_ms=cycle_ms)
 

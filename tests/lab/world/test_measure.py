@@ -53,6 +53,6 @@ def test_another_setting_is_another_run(tmp_path: Path, capsys: pytest.CaptureFi
 def test_rows_are_chosen_by_name_or_beginning() -> None:
     assert measure.chosen("nominal") == ("nominal",)
     assert set(measure.chosen("camera*")) >= {"camera-blind-60mm"}
-    assert {*measure.known()} - {*measure.chosen(None)} == {"drawn"}
+    assert {*measure.known()} - {*measure.chosen(None)} == {*measure.DRAWN}
     with pytest.raises(SetupError, match="no row 'camera'"):
         measure.chosen("camera")
