@@ -89,7 +89,7 @@ def log_odds(
         speed: steady one before any reading [m/s].
     """
     ages, values = readings
-    if not _has_say(readings):
+    if not has_say(readings):
         return None
     times = onset - ages
     way = values - values[-1] - speed * times
@@ -116,7 +116,7 @@ def log_odds(
 
 def speed_now(readings: Array, ramp: Ramp, deviation: float) -> float | None:
     """Return the speed of a conveyor on a ramp [m/s], or None if the sensor has no say."""
-    if not _has_say(readings):
+    if not has_say(readings):
         return None
     ages, values = readings
     ramped = _ramp_way(ages, ramp)
@@ -127,7 +127,7 @@ def speed_now(readings: Array, ramp: Ramp, deviation: float) -> float | None:
     return float(fit[1] + (1.0 + fit[2]) * ramp.acceleration * ramp.age)
 
 
-def _has_say(readings: Array) -> bool:
+def has_say(readings: Array) -> bool:
     """Return whether there are enough readings, the newest of them young enough."""
     ages = readings[0]
     return len(ages) >= LEAST_READINGS and bool(ages[-1] <= LATEST_S)
