@@ -30,7 +30,7 @@ def read_cell(texts: Mapping[str, str], name: str) -> RecordedCell:
     """Return the cell of a recording.
 
     Args:
-        texts: of the cell by name: at least task and urdf.
+        texts: of the cell by name: at least task and urdf, and geometry if it was measured.
         name: of the recording, for messages.
 
     Raises:
@@ -48,6 +48,7 @@ def read_cell(texts: Mapping[str, str], name: str) -> RecordedCell:
             np.array(tool.position),
             rotations.matrix(tool.quaternion),
             linear_axis=task.arm.linear_axis,
+            geometry=task_file.geometry_of(texts, name),
         )
     except (FileError, ValueError) as error:
         raise CellError(f"{name}: {error}") from error

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import documents, files, overlays
+from linemate.daemon.config import documents, files, overlays, task_file
 from linemate.daemon.config.controller_section import ControllerFile, default_port
 from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
@@ -55,7 +55,8 @@ class LoadedConfig:
         controller_file: the controller's own configuration, None for a family without one.
         dbc: text of the distance sensor's DBC, None without that sensor.
         keys: pre-shared keys of the command port.
-        texts: files for recordings, by name: config, task, urdf, dbc, and the controller's family.
+        texts: files for recordings, by name: config, task, urdf, geometry, dbc, and the
+            controller's family.
         written: the parameters without what operators saved.
         state: directory for what operators save, None if there is none.
         variants: tasks of the production's variants, by name.
@@ -134,6 +135,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     }
     texts["task"] = task.text
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
+    texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
     _refuse_unseen_overload(document, config)
     return LoadedConfig(

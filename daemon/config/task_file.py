@@ -5,9 +5,10 @@ Invariants:
 - Quaternions and axes come out with length 1 exactly.
 """
 
+import json
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -19,12 +20,14 @@ from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core import rotations
+from linemate.daemon.core.control.settings import AxisGeometry, ControlSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
 from linemate.protocol.stamped_samples import Vector3
 
 Vector = TypeVar("Vector", bound=tuple[float, ...])
 
 DEFAULT_URDF = "arm.urdf"
+GEOMETRY = "geometry"
 UNIT_TOLERANCE = 1e-3
 ALONG_TOLERANCE = 1e-6
 MAX_URDF_BYTES = 8_388_608
@@ -226,6 +229,31 @@ def _across(value: Any) -> Iterator[Complaint]:
     if sum(a * b for a, b in zip(along, _unit(axis), strict=True)) < 1.0 - ALONG_TOLERANCE:
         what = "its y axis should lie along conveyor.axis"
         yield Complaint(("object", "nominal", "quaternion"), what)
+
+
+def geometry_text(geometry: Sequence[AxisGeometry]) -> dict[str, str]:
+    """Return ``control.geometry`` as a text of the cell, which goes with its URDF.
+
+    Returns:
+        The text by its name; nothing for an arm that was not measured.
+    """
+    rows = [asdict(axis) for axis in geometry]
+    return {GEOMETRY: json.dumps({GEOMETRY: rows})} if rows else {}
+
+
+def geometry_of(texts: Mapping[str, str], name: str) -> tuple[AxisGeometry, ...]:
+    """Return ``control.geometry`` from the texts of a cell.
+
+    Args:
+        name: of a recording, for messages.
+
+    Raises:
+        FileError: the text is wrong.
+    """
+    if GEOMETRY not in texts:
+        return ()
+    document = documents.read(texts[GEOMETRY].encode(), f"{name}: {GEOMETRY}")
+    return documents.fill(document, ControlSettings).geometry
 
 
 def _urdf(value: Any, base: Path) -> str:

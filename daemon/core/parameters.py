@@ -126,6 +126,7 @@ def build(
         rotations.matrix(tool.quaternion),
         linear_axis=task.arm.linear_axis,
         loads=control_settings.bend.loads,
+        geometry=control_settings.geometry,
     )
     control_settings = urdf_limits.completed(
         control_settings, urdf_text, task.arm.flange, linear_axis=task.arm.linear_axis

@@ -17,7 +17,7 @@ from linemate.daemon.config import documents, task_file
 from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.core import rotations, wrench_frame
 from linemate.daemon.core.control import kinematics
-from linemate.daemon.core.control.settings import ControlSettings
+from linemate.daemon.core.control.settings import AxisGeometry, ControlSettings
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.tracking.settings import TrackingSettings
@@ -83,6 +83,7 @@ class Identified:
 class _Cell:
     task: TaskFile
     urdf: str
+    geometry: tuple[AxisGeometry, ...]
     tracking: TrackingSettings
     control: ControlSettings
 
@@ -233,13 +234,14 @@ def _cell(recordings: Sequence[Recorded]) -> _Cell:
         raise IdentifyError("no recording")
     first = recordings[0]
     for other in recordings[1:]:
-        if other.texts.get("urdf") != first.texts.get("urdf"):
+        if any(other.texts.get(text) != first.texts.get(text) for text in ("urdf", "geometry")):
             raise IdentifyError(f"{other.name}: another arm than in {first.name}")
     missing = [name for name in ("task", "urdf") if name not in first.texts]
     if missing:
         raise IdentifyError(f"{first.name}: the recording holds no {' and no '.join(missing)}")
     try:
         task = task_file.parse(first.texts["task"].encode(), f"{first.name}: task")
+        geometry = task_file.geometry_of(first.texts, first.name)
         tracking, control = _settings(first)
     except FileError as error:
         raise IdentifyError(str(error)) from error
@@ -247,7 +249,7 @@ def _cell(recordings: Sequence[Recorded]) -> _Cell:
         theirs = _arm_of(other)
         if theirs != task.arm:
             raise IdentifyError(f"{other.name}: another tool or camera than in {first.name}")
-    return _Cell(task, first.texts["urdf"], tracking, control)
+    return _Cell(task, first.texts["urdf"], geometry, tracking, control)
 
 
 def _arm_of(recorded: Recorded) -> Any:
@@ -281,6 +283,7 @@ def _arm(cell: _Cell) -> kinematics.Arm:
             np.array(tool.position),
             rotations.matrix(tool.quaternion),
             linear_axis=cell.task.arm.linear_axis,
+            geometry=cell.geometry,
         )
     except ValueError as error:
         raise IdentifyError(str(error)) from error

@@ -168,6 +168,7 @@ COMMANDS: Final[dict[str, str | AddParser]] = {
     "report": "production.report_command",
     **dict.fromkeys(("plc", "plc-user"), "plc.plc_command"),
     "identify": "identify_command",
+    "identify-arm": "robot.arm_command",
     "commission": "commissioning.commission_command",
     "replay": "replay_command",
     "export": "export_command",

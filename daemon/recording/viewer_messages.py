@@ -195,9 +195,11 @@ def scene(texts: Mapping[str, str], cycle_s: float) -> dict[str, Any]:
     Args:
         texts: texts of the cell by name, as in a recording.
     """
+    geometry = {"geometry": texts["geometry"]} if "geometry" in texts else {}
     return {
         "task": texts.get("task", ""),
         "urdf": kinematics(texts.get("urdf", "")),
+        **geometry,
         "cycle_s": cycle_s,
     }
 

@@ -6,13 +6,13 @@ Invariants:
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import yaml
 
-from linemate.daemon.view.chain import Chain, ChainError, Pose, read_chain
+from linemate.daemon.view.chain import Chain, ChainError, Pose, Vector, read_chain
 
 AT_ORIGIN: Final[Pose] = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -53,7 +53,7 @@ def read_cell(texts: Mapping[str, Any]) -> Cell:
     """Return the cell of a daemon's answer to ``scene``, or of a recording's metadata.
 
     Args:
-        texts: ``task`` (YAML), ``urdf``, and ``cycle_s``.
+        texts: ``task`` (YAML), ``urdf``, ``geometry`` (YAML) if it was measured, and ``cycle_s``.
     """
     cycle_s = texts.get("cycle_s")
     period_s = float(cycle_s) if isinstance(cycle_s, (int, float)) else 0.0
@@ -72,11 +72,24 @@ def read_cell(texts: Mapping[str, Any]) -> Cell:
             str(arm.get("flange", "flange")),
             _pose(arm.get("tcp_in_flange", {})),
             linear_axis=bool(arm.get("linear_axis", False)),
+            geometry=_geometry(texts),
         )
     except (ChainError, ValueError, TypeError, KeyError) as error:
         trouble = f"the arm cannot be drawn: {_short(error)}"
         return Cell(name, period_s, None, trouble, nominal, camera)
     return Cell(name, period_s, chain, "", nominal, camera)
+
+
+def _geometry(texts: Mapping[str, Any]) -> list[tuple[Vector, Vector]]:
+    """Return place and rotation vector of each measured axis, seen from the URDF's."""
+    value = yaml.safe_load(str(texts.get("geometry", ""))) or {}
+    rows = _mapping(value).get("geometry", ())
+    return [(_vector(row["shift"]), _vector(row["turn"])) for row in rows]
+
+
+def _vector(row: Sequence[Any]) -> Vector:
+    x, y, z = (float(part) for part in row)
+    return x, y, z
 
 
 def _mapping(value: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ Invariants:
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -100,13 +100,21 @@ class Chain:
         return points, (*tcp, *quaternion(product(turned, matrix(self.tool[3:]))))
 
 
-def read_chain(urdf: str, flange: str, tool: Pose, *, linear_axis: bool) -> Chain:
+def read_chain(
+    urdf: str,
+    flange: str,
+    tool: Pose,
+    *,
+    linear_axis: bool,
+    geometry: Sequence[tuple[Vector, Vector]] = (),
+) -> Chain:
     """Return the chain of a URDF that ends at the flange.
 
     Args:
         flange: Name of its last link.
         tool: Pose of the tcp in the flange.
         linear_axis: Whether the first joint that moves is E1.
+        geometry: Place [m] and rotation vector [rad] of A1..A6 as measured, seen from the URDF's.
 
     Raises:
         ChainError: The text is not a URDF, or has no such link or chain.
@@ -126,7 +134,18 @@ def read_chain(urdf: str, flange: str, tool: Pose, *, linear_axis: bool) -> Chai
     if len(elements) > MAX_JOINTS:
         raise ChainError(f"the URDF has a loop, or more than {MAX_JOINTS} joints")
     numbers = iter((E1, *range(E1)) if linear_axis else range(E1))
-    return Chain(tuple(_joint(element, numbers) for element in reversed(elements)), tool)
+    joints = (_joint(element, numbers) for element in reversed(elements))
+    return Chain(tuple(_measured(joint, geometry) for joint in joints), tool)
+
+
+def _measured(joint: Joint, geometry: Sequence[tuple[Vector, Vector]]) -> Joint:
+    """Return a joint where it was measured."""
+    if joint.number is None or joint.number >= len(geometry):
+        return joint
+    shift, turn = geometry[joint.number]
+    angle = math.hypot(*turn)
+    turned = product(joint.turn, about(_of_length_one(turn), angle)) if angle else joint.turn
+    return replace(joint, origin=_moved(joint.origin, joint.turn, shift), turn=turned)
 
 
 def _joint(element: ET.Element, numbers: Iterator[int]) -> Joint:

@@ -5,13 +5,14 @@
 #    source ~/.local/share/bash_completion/linemate-sim
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
-_shtab_linemate_sim_subparsers=(demo run campaign shift world emulator bench schema)
+_shtab_linemate_sim_subparsers=(demo run campaign shift world measure-arm emulator bench schema)
 
 _shtab_linemate_sim_demo_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --cycle-ms --seed --cars --strict --view)
 _shtab_linemate_sim_run_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seed --variant --record --timing)
 _shtab_linemate_sim_campaign_option_strings=(-h --help --scenario --world --controller --out --json --cell --config --task --set --workers --cycle-ms --seeds --first-seed --scheduler --detection --variants)
 _shtab_linemate_sim_shift_option_strings=(-h --help --cars --cell --controller --seed --takt --faulty --opc-ua --workers --minutes --scheduler --json)
 _shtab_linemate_sim_world_option_strings=(-h --help --world --rows --seeds --cycle-ms --learnt --identified --json --check --list --kept --set --workers)
+_shtab_linemate_sim_measure_arm_option_strings=(-h --help --scenario --cell --config --task --set --seed --poses --positions)
 _shtab_linemate_sim_emulator_option_strings=(-h --help --config)
 _shtab_linemate_sim_bench_option_strings=(-h --help --json --rounds --round-s --cycles --parts --awake --no-awake --plot)
 _shtab_linemate_sim_schema_option_strings=(-h --help)
@@ -27,6 +28,9 @@ _shtab_linemate_sim_campaign___out_COMPGEN=_shtab_compgen_dirs
 _shtab_linemate_sim_campaign___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_campaign___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_world___kept_COMPGEN=_shtab_compgen_dirs
+_shtab_linemate_sim_measure_arm_pos_0_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_measure_arm___config_COMPGEN=_shtab_compgen_files
+_shtab_linemate_sim_measure_arm___task_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_emulator___config_COMPGEN=_shtab_compgen_files
 _shtab_linemate_sim_bench___plot_COMPGEN=_shtab_compgen_files
 
@@ -40,7 +44,7 @@ _shtab_linemate_sim_campaign___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_shift___controller_choices=(rsi fanuc egm)
 _shtab_linemate_sim_world___world_choices=(own mujoco)
 _shtab_linemate_sim_schema_pos_0_choices=(scenario task emulator)
-_shtab_linemate_sim_pos_0_choices=(demo run campaign shift world emulator bench schema)
+_shtab_linemate_sim_pos_0_choices=(demo run campaign shift world measure-arm emulator bench schema)
 
 _shtab_linemate_sim_demo__h_nargs=0
 _shtab_linemate_sim_demo___help_nargs=0
@@ -64,6 +68,9 @@ _shtab_linemate_sim_world___help_nargs=0
 _shtab_linemate_sim_world___json_nargs=0
 _shtab_linemate_sim_world___check_nargs=0
 _shtab_linemate_sim_world___list_nargs=0
+_shtab_linemate_sim_measure_arm__h_nargs=0
+_shtab_linemate_sim_measure_arm___help_nargs=0
+_shtab_linemate_sim_measure_arm___positions_nargs=0
 _shtab_linemate_sim_emulator__h_nargs=0
 _shtab_linemate_sim_emulator___help_nargs=0
 _shtab_linemate_sim_bench__h_nargs=0

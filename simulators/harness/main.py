@@ -36,6 +36,7 @@ MODULES = {
     "campaign": "lab.campaign",
     "shift": "lab.shift.shift",
     "world": "lab.world.measure",
+    "measure-arm": "lab.commissioning.arm_tracker",
     "emulator": "harness.emulator_command",
     "bench": "lab.bench.bench",
 }
@@ -98,6 +99,8 @@ def _check_outputs(args: argparse.Namespace) -> None:
         check_output_folder(args.out)
     if getattr(args, "plot", None) is not None:
         check_output_file(args.plot, "--plot")
+    if getattr(args, "file", None) is not None:
+        check_output_file(args.file, "FILE")
 
 
 def _schema(kind: str) -> int:
@@ -181,6 +184,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_campaign(commands)
     _add_shift(commands)
     _add_world(commands)
+    _add_measure_arm(commands)
     emulator = commands.add_parser("emulator", help="the emulators alone, in real time")
     emulator.add_argument("--config", type=Path, required=True, metavar="FILE")
     _add_bench(commands)
@@ -372,6 +376,24 @@ def _add_shift(commands: "Commands[CommandLine]") -> None:
     )
     _add_scheduler(shift)
     shift.add_argument("--json", action="store_true", help="print JSON instead of a table")
+
+
+def _add_measure_arm(commands: "Commands[CommandLine]") -> None:
+    arm = commands.add_parser("measure-arm", help="poses of the arm as a laser tracker sees them")
+    arm.add_argument("file", type=Path, metavar="FILE", help="table for `linemate identify-arm`")
+    arm.add_argument(
+        "--scenario", metavar="NAME|FILE", help="the emulated truth; that of the cell, else wheel"
+    )
+    _add_cell(arm)
+    arm.add_argument(
+        "--set", action="append", default=[], dest="overrides", metavar="KEY=VALUE",
+        help="e.g. scenario.robot.effects.geometry.zero_sigma=0.3e-3",
+    )  # fmt: skip
+    arm.add_argument("--seed", type=int, default=0, metavar="N", help="of the cell; 0")
+    arm.add_argument("--poses", type=_count, default=40, metavar="N", help="40")
+    arm.add_argument(
+        "--positions", action="store_true", help="a single reflector: positions without orientation"
+    )
 
 
 def _minutes(text: str) -> float:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from linemate.daemon.config import task_file
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
@@ -326,6 +327,7 @@ def texts(setup: Setup) -> dict[str, str]:
         "config": yaml.safe_dump(config),
         "task": yaml.safe_dump(plain(setup.task)),
         "urdf": setup.urdf,
+        **task_file.geometry_text(setup.control.geometry),
     }
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import yaml
 
+from linemate.daemon.config import task_file
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings, EffectorMode, ServoModel
@@ -103,6 +104,7 @@ def record(setup: Setup, seed: int, path: Path) -> Path:
         "config": yaml.safe_dump(config),
         "task": exercise.text(setup.task),
         "urdf": setup.urdf,
+        **task_file.geometry_text(setup.control.geometry),
     }
     file = StepFile(path.open("wb"), metadata_of(texts))
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
+from linemate.daemon.core.control.settings import AxisGeometry
 from linemate.daemon.view import chain
 
 ARM = TASK.file.arm
@@ -33,6 +34,23 @@ def test_the_tool_is_where_the_daemon_has_it(axes: tuple[float, ...]) -> None:
     position, rotation = EXACT.tcp_in_base(np.array(axes))
     assert points[-1] == pytest.approx(position, abs=1e-9)
     assert np.array(chain.matrix(tcp[3:])) == pytest.approx(rotation, abs=1e-9)
+
+
+def test_a_measured_arm_is_drawn_where_the_daemon_has_it() -> None:
+    rows = [((1e-3 * i, -1e-3, 2e-3), (5e-4, -1e-3, 1e-3 * i)) for i in range(6)]
+    drawn = chain.read_chain(TASK.urdf, ARM.flange, TOOL, linear_axis=True, geometry=rows)
+    exact = kinematics.load(
+        TASK.urdf,
+        ARM.flange,
+        np.array(ARM.tcp_in_flange.position),
+        rotations.matrix(ARM.tcp_in_flange.quaternion),
+        linear_axis=True,
+        geometry=[AxisGeometry(*row) for row in rows],
+    )
+    axes = (0.3, -1.2, 1.4, 0.5, 1.1, -0.4, 0.7)
+    position, _ = exact.tcp_in_base(np.array(axes))
+    assert drawn.place(axes)[0][-1] == pytest.approx(position, abs=1e-9)
+    assert DRAWN.place(axes)[0][-1] != pytest.approx(position, abs=1e-3)
 
 
 def test_the_joints_are_where_the_arm_was_designed_to_have_them() -> None:

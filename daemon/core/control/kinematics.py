@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.control.settings import AxisLoad
+from linemate.daemon.core.control.settings import AxisGeometry, AxisLoad
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.lapack import dgesv as _solve
 
@@ -84,6 +84,15 @@ class Arm:
         """Return position (3,) [m] and rotation (3, 3) of the undeflected tcp in base."""
         pose = self._placed(self._order(joints))
         return pose.translation.copy(), pose.rotation.copy()
+
+    def axis_frames(self) -> list[tuple[Array, Array, Array]]:
+        """Return A1..A6 at 0: position and rotation in the frame of the axis before, direction."""
+        first = 1 + int(self.linear_axis)
+        places = self.model.jointPlacements
+        return [
+            (places[i].translation.copy(), places[i].rotation.copy(), self.data.joints[i].S[3:])
+            for i in range(first, first + 6)
+        ]
 
     def tcp_jacobian(self, joints: Array) -> Array:
         """Return the Jacobian (3, axes) of the tcp's position, in the tcp's own axes."""
@@ -266,6 +275,7 @@ def load(
     *,
     linear_axis: bool,
     loads: Sequence[AxisLoad] = (),
+    geometry: Sequence[AxisGeometry] = (),
 ) -> Arm:
     """Return the arm of a URDF text with its tool.
 
@@ -276,6 +286,7 @@ def load(
         rotation: of the undeflected tcp in the flange (3, 3).
         linear_axis: the first joint is prismatic and is E1.
         loads: weights; those of the URDF do not count.
+        geometry: measured frames of A1..A6, seen from those of the URDF.
 
     Raises:
         KinematicsError: no URDF, no such frame, or not six revolute joints.
@@ -290,6 +301,9 @@ def load(
     if not model.existFrame(flange):
         names = ", ".join(frame.name for frame in model.frames)
         raise KinematicsError(f"the URDF has no frame {flange!r}; it has {names}")
+    for joint, frame in enumerate(geometry, start=1 + int(linear_axis)):
+        measured = pin.SE3(pin.exp3(np.array(frame.turn)), np.array(frame.shift))
+        model.jointPlacements[joint] = model.jointPlacements[joint] * measured
     lower, upper = model.lowerPositionLimit, model.upperPositionLimit
     at = model.getFrameId(flange)
     place = model.frames[at].placement * pin.SE3(rotation, position)

@@ -14,6 +14,11 @@ Place = Annotated[float, Ge(-30.0), Le(30.0)]
 Acceleration = Annotated[float, Ge(0.01), Le(100.0)]
 Jerk = Annotated[float, Ge(0.1), Le(10_000.0)]
 Span = Annotated[float, Ge(0.0), Le(1.0)]
+# An arm that is further off is another one, or its axes are not mastered.
+LARGEST_SHIFT = 3e-3  # [m]
+LARGEST_TURN = 5e-3  # [rad]
+Shift = Annotated[float, Ge(-LARGEST_SHIFT), Le(LARGEST_SHIFT)]
+Turn = Annotated[float, Ge(-LARGEST_TURN), Le(LARGEST_TURN)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +112,22 @@ class GravityBend:
     compliance: Annotated[tuple[Annotated[float, Ge(0.0), Le(1e-4)], ...], Len(0, 6)] = ()
     loads: Annotated[tuple[AxisLoad, ...], Len(0, 12)] = ()
     balanced: Annotated[float, Ge(0.0), Le(1.0)] = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class AxisGeometry:
+    """Measured frame of one axis, seen from its frame in the URDF with the axis at 0.
+
+    ``linemate identify-arm`` finds it from measured poses.
+
+    Attributes:
+        shift: place of the frame: errors of lengths [m].
+        turn: rotation vector of the frame: about the axis the error of its zero, about the others
+            twists [rad].
+    """
+
+    shift: tuple[Shift, Shift, Shift] = (0.0, 0.0, 0.0)
+    turn: tuple[Turn, Turn, Turn] = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +239,7 @@ class ControlSettings:
         drift: of the dead times; left out: they are fixed.
         windup: of each axis; left out: the links are where the motors are.
         bend: of the gears under weight.
+        geometry: of A1..A6 as measured; left out: that of the URDF.
         friction: of each axis; left out: no drive rubs.
         limits: of each axis, within those of the URDF; left out: those of the URDF.
         tcp_speed: limit of the tcp's speed relative to the object; the conveyor's nominal speed
@@ -232,6 +254,7 @@ class ControlSettings:
     drift: DeadTimeDrift = DeadTimeDrift()
     windup: Annotated[tuple[AxisWindup, ...], Len(0, 7)] = ()
     bend: GravityBend = GravityBend()
+    geometry: Annotated[tuple[AxisGeometry, ...], Len(0, 6)] = ()
     friction: Annotated[tuple[AxisFriction, ...], Len(0, 7)] = ()
     limits: Annotated[tuple[AxisLimits, ...], Len(0, 7)] = ()
     smoothing: SmoothingSettings = SmoothingSettings()

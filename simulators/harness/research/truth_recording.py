@@ -14,6 +14,7 @@ from typing import Any
 from mcap.records import Attachment
 from pydantic import TypeAdapter
 
+from linemate.daemon.config import task_file
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import reader
@@ -104,4 +105,5 @@ def _truth_bytes(log: truth.TruthLog, result: dict[str, Any]) -> bytes:
 def _texts(setup: Setup) -> dict[str, str]:
     """Return the texts of the cell that a replay needs."""
     task = json.dumps(_TASK.dump_python(setup.task, mode="json"), indent=1)
-    return {"task": task, "urdf": setup.urdf, "config": "{}", "variant": setup.variant}
+    texts = {"task": task, "urdf": setup.urdf, "config": "{}", "variant": setup.variant}
+    return texts | task_file.geometry_text(setup.control.geometry)

@@ -25,7 +25,13 @@ from linemate.simulators.harness.setup import Setup
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.judge import report_json
 from linemate.simulators.lab.worker_pool import progress_bar, spread
-from linemate.simulators.lab.world import as_identified, drawn_line, drawn_world, world_table
+from linemate.simulators.lab.world import (
+    as_identified,
+    drawn_line,
+    drawn_world,
+    measured_arm,
+    world_table,
+)
 from linemate.simulators.lab.world.as_identified import CellJob
 from linemate.simulators.lab.world.mujoco_rows import MUJOCO_ROWS, prepared
 
@@ -92,7 +98,7 @@ def known() -> tuple[str, ...]:
 
     shipped = scenario_file.shipped()
     floors = (name for name in SCENARIOS if name in shipped)
-    return (*world_rows.rows(), *floors, *DRAWN)
+    return (*world_rows.rows(), *floors, *measured_arm.ROWS, *DRAWN)
 
 
 def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
@@ -120,6 +126,8 @@ def what(name: str) -> str:
         return MUJOCO_ROWS[name].what
     if name in DRAWN:
         return DRAWN[name]
+    if name in measured_arm.ROWS:
+        return measured_arm.WHAT
     row = world_rows.rows().get(name)
     return "all effects at once" if row is None else row.what
 
@@ -167,6 +175,7 @@ def _setup(name: str, overrides: Sequence[str], cycle_ms: float | None, seed: in
         is_line = name in drawn_line.LINES
         drawn = drawn_line.overrides(name, seed) if is_line else drawn_world.overrides(seed)
         return setup.make(drawn_world.BASE, (*drawn, *overrides), cycle_ms=cycle_ms)
+    name = measured_arm.ROWS.get(name, name)
     listed = name in world_rows.rows()
     return setup.make(world_rows.PREFIX + name if listed else name, overrides, cycle_ms=cycle_ms)
 
@@ -196,7 +205,10 @@ def perform(job: WorldJob) -> dict[str, Any]:
     from linemate.simulators.judge.judge import judge
     from linemate.simulators.lab.world.taught import taught
 
-    setup = taught(job.setup, job.seed, job.learnt)
+    setup = job.setup
+    if job.row in measured_arm.ROWS:
+        setup = measured_arm.identified(setup, job.seed)
+    setup = taught(setup, job.seed, job.learnt)
     return {"row": job.row, **figures(judge(lockstep.run(setup, job.seed)))}
 
 

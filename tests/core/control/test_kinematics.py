@@ -1,6 +1,7 @@
 """Kinematics: forwards and backwards are inverse, and what cannot be says why."""
 
 import re
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.kinematics import Arm, KinematicsError, UnreachableError
+from linemate.daemon.core.control.settings import AxisGeometry
 from linemate.daemon.core.horizon import Array
 
 TASK = task_file.load(DAEMON_DATA / "wheel.yaml")
@@ -21,8 +23,14 @@ URDF = TASK.urdf
 TOOL = (np.array((-0.35, 0.0, 0.20)), rotations.exp(np.array((0.0, -np.pi / 2, 0.0))))
 
 
-def load(urdf: str = URDF, flange: str = "flange", *, linear_axis: bool = True) -> Arm:
-    return kinematics.load(urdf, flange, *TOOL, linear_axis=linear_axis)
+def load(
+    urdf: str = URDF,
+    flange: str = "flange",
+    *,
+    linear_axis: bool = True,
+    geometry: Sequence[AxisGeometry] = (),
+) -> Arm:
+    return kinematics.load(urdf, flange, *TOOL, linear_axis=linear_axis, geometry=geometry)
 
 
 def fixed(urdf: str) -> str:
@@ -330,3 +338,46 @@ def test_the_arm_makes_up_for_a_linear_axis_that_is_behind(short: float) -> None
     place, turned = ARM.tcp_in_base(behind)
     assert np.abs(place - position).max() < 0.02 * abs(short)
     assert np.abs(turned - rotation).max() < 0.02 * abs(short)
+
+
+MIDDLE = np.array((0.3, -1.2, 1.4, 0.5, 1.1, -0.4, 0.7))
+
+
+def of_axis(axis: int, **frame: tuple[float, float, float]) -> list[AxisGeometry]:
+    return [AxisGeometry(**frame) if i == axis else AxisGeometry() for i in range(6)]
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("linear_axis", [True, False])
+def test_a_turn_about_an_axis_is_an_error_of_its_zero(axis: int, linear_axis: bool) -> None:
+    urdf, joints = (URDF, MIDDLE) if linear_axis else (fixed(URDF), MIDDLE[:6])
+    arm = load(urdf, linear_axis=linear_axis)
+    x, y, z = (1e-3 * arm.axis_frames()[axis][2]).tolist()
+    measured = load(urdf, linear_axis=linear_axis, geometry=of_axis(axis, turn=(x, y, z)))
+    turned = joints.copy()
+    turned[axis] += 1e-3
+    for part, expected in zip(measured.tcp_in_base(joints), arm.tcp_in_base(turned), strict=True):
+        assert np.allclose(part, expected, atol=1e-12)
+
+
+def test_a_shift_is_another_length_in_the_frame_of_the_axis() -> None:
+    text = 'xyz="1.150 0 0"'
+    assert URDF.count(text) == 1
+    longer = load(URDF.replace(text, 'xyz="1.151 0 0.0005"'))
+    measured = load(geometry=of_axis(2, shift=(1e-3, 0.0, 0.5e-3)))
+    assert np.allclose(measured.tcp_in_base(MIDDLE)[0], longer.tcp_in_base(MIDDLE)[0], atol=1e-12)
+
+
+def test_the_solver_brings_the_measured_tcp_to_a_pose() -> None:
+    measured = load(geometry=[AxisGeometry((1e-3, -1e-3, 0.5e-3), (1e-3, 2e-3, -1e-3))] * 6)
+    pose = ARM.tcp_in_base(MIDDLE)
+    joints = measured.solve(MIDDLE, *pose)
+    assert np.abs(joints - MIDDLE).max() > 1e-3
+    assert np.allclose(measured.tcp_in_base(joints)[0], pose[0], atol=1e-8)
+
+
+def test_an_arm_that_was_not_measured_is_that_of_the_urdf_bit_for_bit() -> None:
+    for part, same in zip(
+        load(geometry=()).tcp_in_base(MIDDLE), ARM.tcp_in_base(MIDDLE), strict=True
+    ):
+        assert np.array_equal(part, same)

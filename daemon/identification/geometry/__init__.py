@@ -1,0 +1,1 @@
+"""Geometry of the arm from measured poses of the tcp."""
