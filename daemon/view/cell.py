@@ -74,7 +74,7 @@ def read_cell(texts: Mapping[str, Any]) -> Cell:
             linear_axis=bool(arm.get("linear_axis", False)),
             geometry=_geometry(texts),
         )
-    except (ChainError, ValueError, TypeError, KeyError) as error:
+    except (yaml.YAMLError, ChainError, ValueError, TypeError, KeyError) as error:
         trouble = f"the arm cannot be drawn: {_short(error)}"
         return Cell(name, period_s, None, trouble, nominal, camera)
     return Cell(name, period_s, chain, "", nominal, camera)

@@ -10,6 +10,8 @@ import pytest
 import yaml
 
 from linemate.daemon.config.files import DAEMON_DATA
+from linemate.daemon.config.task_file import geometry_text
+from linemate.daemon.core.control.settings import AxisGeometry
 from linemate.daemon.identification.outcome import Estimate, Refusal, ReportLine
 from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
@@ -68,6 +70,15 @@ def test_recordings_of_two_arms_are_not_mixed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = {**TEXTS, "urdf": TEXTS["urdf"].replace("1.150", "1.250")}
+    files = recording(tmp_path / "a.mcap"), recording(tmp_path / "b.mcap", other)
+    assert run(*files, "--out", tmp_path / "o.yaml") == 1
+    assert "b.mcap: another arm" in capsys.readouterr().err
+
+
+def test_recordings_of_two_geometries_of_an_arm_are_not_mixed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = {**TEXTS, **geometry_text([AxisGeometry(turn=(0.0, 0.0, 1e-3))])}
     files = recording(tmp_path / "a.mcap"), recording(tmp_path / "b.mcap", other)
     assert run(*files, "--out", tmp_path / "o.yaml") == 1
     assert "b.mcap: another arm" in capsys.readouterr().err

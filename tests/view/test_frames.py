@@ -32,6 +32,16 @@ def moving(k: int, *, lag_cycles: int = 1) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def test_a_geometry_that_cannot_be_read_leaves_the_arm_out_with_the_reason() -> None:
+    texts = {"task": TASK.text, "urdf": TASK.urdf, "cycle_s": 0.012}
+    good = '{"geometry": [{"shift": [0.001, 0, 0], "turn": [0, 0, 0]}]}'
+    assert read_cell({**texts, "geometry": good}).chain != CELL.chain
+    for bad in ("{", "[1]", '{"geometry": [{}]}', '{"geometry": [{"shift": 1, "turn": 2}]}'):
+        cell = read_cell({**texts, "geometry": bad})
+        assert cell.chain is None
+        assert "the arm cannot be drawn" in cell.trouble
+
+
 def test_the_scene_of_the_shipped_task_can_be_drawn() -> None:
     assert CELL.trouble == ""
     assert CELL.task == "wheel"
