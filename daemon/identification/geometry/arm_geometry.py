@@ -48,6 +48,8 @@ STAYS = 1e-7  # deviation of values that stay 0 [m], [rad]
 ZERO, TWIST, LENGTH = 0.5e-3, 0.3e-3, 0.5e-3  # priors [rad], [rad], [m]
 FRAME = (0.05e-3, 0.02e-3)  # of the measuring system's frame in base [m], [rad]
 TARGET = (0.05e-3, 0.1e-3)  # of the target's mount on the tool [m], [rad]
+OFF_PRIOR = 4.0  # largest value of these two, as a multiple of what both are known to
+UNKNOWN = 20.0  # times their priors: nothing is known of them
 NOISE = (0.3e-3, 0.3e-3)  # first guess of the residuals [m], [rad]
 LEAST_NOISE = (0.01e-3, 0.02e-3)
 DECIMALS = 9  # of the overlay's values
@@ -138,10 +140,11 @@ def identify_geometry(measured: MeasuredArm, poses: MeasuredPoses) -> ArmGeometr
     poses, lines = _merged(poses)
     _check_poses(poses)
     problem = _Problem(measured, poses)
-    count = len(poses.lines)
+    count = problem.count
+    _check_mounting(problem)
     whole = problem.fit(range(count))
     _check_residuals(whole.residuals, lines)
-    _check_axes(whole.values)
+    _check_arm(whole.values)
     held = np.empty_like(whole.residuals)
     for fold in range(FOLDS):
         others = problem.fit([i for i in range(count) if i % FOLDS != fold])
@@ -234,6 +237,7 @@ class _Problem:
     def __init__(self, measured: MeasuredArm, poses: MeasuredPoses) -> None:
         self._measured, self._poses = measured, poses
         self._nominal = measured.load()
+        self.count = len(poses.lines)
         self._parts = 3 if poses.turns is None else 6
         self.unknowns = 6 * (AXES + 2)
         self.priors, self._fixed = self._priors(), self._redundant()
@@ -285,30 +289,35 @@ class _Problem:
                 rows[i, 3:] = rotations.log((turned @ turn @ mounted).T @ poses.turns[i])
         return rows
 
-    def fit(self, poses: Sequence[int]) -> _GeometryFit:
-        """Return the values that fit to some of the poses; their noise is that of the residuals."""
-        chosen = list(poses)
+    def fit(self, poses: Sequence[int], looser: float = 1.0) -> _GeometryFit:
+        """Return the values that fit to some of the poses; their noise is that of the residuals.
+
+        Args:
+            looser: factor of the priors of frame and target.
+        """
+        chosen, priors = list(poses), self.priors.copy()
+        priors[6 * AXES :] *= looser
         slopes = self._slopes[chosen]
         noise, values = np.array(NOISE[: self._parts // 3]), np.zeros(self.unknowns)
-        covariance = np.diag(self.priors**2)
-        fixed = self._fixed * self.priors / STAYS
+        covariance = np.diag(priors**2)
+        fixed = self._fixed * priors / STAYS
         for _ in range(ROUNDS):
             residuals = self.residuals(values)[chosen]
             weights = np.repeat(1.0 / noise, 3)
-            J = (slopes * weights[:, None]).reshape(-1, self.unknowns) * self.priors
+            J = (slopes * weights[:, None]).reshape(-1, self.unknowns) * priors
             e = (residuals * weights).ravel()
             # In units of the priors: the normal equations are at least the identity.
             information = J.T @ J + np.eye(self.unknowns) + fixed.T @ fixed
             covariance = np.linalg.inv(information)
-            at = values / self.priors
-            values = values - self.priors * (covariance @ (J.T @ e + at + fixed.T @ (fixed @ at)))
+            at = values / priors
+            values = values - priors * (covariance @ (J.T @ e + at + fixed.T @ (fixed @ at)))
             # Of the values, that many are determined by the poses and not by their priors.
             free = residuals.size - (self.unknowns - float(np.trace(covariance)))
             left = self.residuals(values)[chosen]
             share = left.size / max(free, 1.0)
             squares = np.square(left).reshape(len(left), -1, 3).mean(axis=(0, 2))
             noise = np.maximum(np.sqrt(share * squares), LEAST_NOISE[: self._parts // 3])
-        deviations = self.priors * np.sqrt(covariance.diagonal())
+        deviations = priors * np.sqrt(covariance.diagonal())
         return _GeometryFit(values, deviations, left)
 
 
@@ -318,19 +327,48 @@ def _axes(values: Array) -> tuple[AxisGeometry, ...]:
     return tuple(AxisGeometry((a, b, c), (d, e, f)) for a, b, c, d, e, f in rows)
 
 
-def _check_axes(values: Array) -> None:
+def _check_arm(values: Array) -> None:
     """Refuse an arm that is too far off the URDF.
 
     Raises:
         GeometryError: the values that are out of range.
     """
-    wrong = []
-    for i, name in enumerate(_names()[: 6 * AXES]):
-        unit, limit = ("mm", LARGEST_SHIFT) if i % 6 < 3 else ("mrad", LARGEST_TURN)
-        if abs(values[i]) > limit:
-            wrong.append(f"{name}: {1e3 * values[i]:.2f} {unit}, limit {1e3 * limit:.0f}")
+    limits = np.tile(np.repeat((LARGEST_SHIFT, LARGEST_TURN), 3), AXES)
+    wrong = _beyond(values[: 6 * AXES], limits, 0)
     if wrong:
         raise GeometryError("\n".join((*wrong, "Master the axes, and check the URDF.")))
+
+
+def _check_mounting(problem: "_Problem") -> None:
+    """Refuse poses that show another frame of the measuring system, or another target, than stated.
+
+    The fit for it does not know either. Only what the poses show counts: an arm that stands
+    elsewhere looks like a frame that is shifted.
+
+    Raises:
+        GeometryError: the values that contradict what is stated.
+    """
+    arm = 6 * AXES
+    fit = problem.fit(range(problem.count), UNKNOWN)
+    limits = OFF_PRIOR * np.hypot(problem.priors[arm:], fit.deviations[arm:])
+    wrong = _beyond(fit.values[arm:], limits, arm)
+    if wrong:
+        advice = "Register the measuring system again; measure the target, or tcp_in_flange, again."
+        raise GeometryError("\n".join((*wrong, advice)))
+
+
+def _beyond(values: Array, limits: Array, first: int) -> list[str]:
+    """Return a line for each value that is out of range.
+
+    Args:
+        first: index of the first value among all.
+    """
+    rows = zip(_names()[first : first + len(values)], values, limits, strict=True)
+    return [
+        f"{name}: {1e3 * value:.3g} {'mm' if i % 6 < 3 else 'mrad'}, limit {1e3 * limit:.3g}"
+        for i, (name, value, limit) in enumerate(rows)
+        if abs(value) > limit
+    ]
 
 
 def _names() -> list[str]:

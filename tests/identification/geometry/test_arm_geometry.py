@@ -201,6 +201,27 @@ def test_a_row_that_does_not_fit_is_named_by_its_line(off: float) -> None:
     assert str(caught.value).splitlines()[-1] == "Measure these poses again or delete them."
 
 
+@pytest.mark.parametrize("off", [0.3e-3, -5e-3])
+def test_a_target_that_is_not_where_it_was_stated_is_not_taken_for_geometry(off: float) -> None:
+    whole = poses(planted(0))
+    assert whole.turns is not None
+    moved = whole.positions + whole.turns @ np.array((0.0, 0.0, off))
+    with pytest.raises(
+        GeometryError, match=r"target on the tool shift z: .* mm, limit 0\."
+    ) as caught:
+        identify_geometry(PLAIN, replace(whole, positions=moved))
+    assert str(caught.value).endswith("or tcp_in_flange, again.")
+
+
+def test_a_measuring_system_that_is_turned_against_the_linear_axis_is_refused() -> None:
+    whole, turn = poses(planted(0)), rotations.exp(np.array((0.3e-3, 0.0, -0.3e-3)))
+    assert whole.turns is not None
+    turned = replace(whole, positions=whole.positions @ turn.T, turns=turn @ whole.turns)
+    with pytest.raises(GeometryError, match=r"measuring system turn .* mrad, limit 0\.") as caught:
+        identify_geometry(PLAIN, turned)
+    assert str(caught.value).endswith("or tcp_in_flange, again.")
+
+
 def test_poses_of_another_tool_are_refused_with_the_residual() -> None:
     whole = poses(planted(0))
     assert whole.turns is not None
