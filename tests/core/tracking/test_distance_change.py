@@ -4,9 +4,16 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers.classifier_bank import SURE_STOP, BankClassifier
+from linemate.daemon.core.tracking.classifiers.bank_filter import REST_DEVIATION
+from linemate.daemon.core.tracking.classifiers.classifier_bank import (
+    AGREED_STOP,
+    SURE_STOP,
+    BankClassifier,
+)
 from linemate.daemon.core.tracking.classifiers.distance import distance_change, distance_check
+from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
+from linemate.daemon.core.tracking.classifiers.onset_bank import OnsetBank
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
@@ -14,6 +21,18 @@ from linemate.daemon.core.tracking.task import ConveyorClasses
 T0, SIGMA, START, STOP, SPEED = 0.012, 0.38e-3, 0.013, -0.104, 0.106
 SURE = 17.0
 BANK = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), SIGMA, compliance=12.0)
+STARTS, STOPS = (BANK.shown_priors[motion] for motion in (Motion.STANDING, Motion.RUNNING))
+
+
+def start(readings: Array, least: float = SURE) -> DistanceChange | None:
+    return distance_change.find(readings, START, 0.0, 3e-4, SIGMA, STARTS, least)
+
+
+def stop(
+    readings: Array, least: float = SURE_STOP, *, as_stated: bool = True
+) -> DistanceChange | None:
+    priors = STOPS[:1] if as_stated else STOPS
+    return distance_change.find(readings, STOP, SPEED, 3e-3, SIGMA, priors, least)
 
 
 def kept(motion: Array, seed: int) -> Array:
@@ -35,26 +54,57 @@ def ramp(acceleration: float, lasting: float, speed: float = 0.0) -> Array:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_start_is_certain_after_half_a_second_with_its_onset_and_speed(seed: int) -> None:
-    found = distance_change.find(kept(ramp(START, 0.5), seed), START, 0.0, 3e-4, SIGMA)
-    assert found is not None
-    assert found.odds > SURE
-    assert found.onset == pytest.approx(0.5, abs=0.13)
-    assert found.speed + found.share * START * found.onset == pytest.approx(START * 0.5, abs=2e-3)
-    assert found.reading == pytest.approx(0.5 * START * 0.5**2, abs=3e-4)
+    declared = start(kept(ramp(START, 0.5), seed))
+    assert declared is not None
+    assert declared.odds > SURE
+    assert declared.onset == pytest.approx(0.5, abs=0.13)
+    reading, speed, _ = declared.values
+    assert speed == pytest.approx(START * 0.5, abs=2e-3)
+    assert reading == pytest.approx(0.5 * START * 0.5**2, abs=3e-4)
+
+
+@pytest.mark.parametrize(("acceleration", "lasting"), [(0.04, 0.36), (0.1, 0.2)])
+def test_a_start_faster_than_stated_is_certain_sooner_with_its_speed(
+    acceleration: float, lasting: float
+) -> None:
+    offs = []
+    for seed in range(12):
+        declared = start(kept(ramp(acceleration, lasting), seed))
+        assert declared is not None
+        off = float(declared.values[1]) - acceleration * lasting
+        offs.append(off / np.hypot(REST_DEVIATION, declared.covariance[1, 1] ** 0.5))
+    assert np.abs(offs).max() < 3.5
+    assert abs(np.mean(offs)) < 0.5
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_stop_is_certain_after_a_third_of_a_second(seed: int) -> None:
-    found = distance_change.find(kept(ramp(STOP, 0.33, SPEED), seed), STOP, SPEED, 3e-3, SIGMA)
-    assert found is not None
-    assert found.odds > SURE_STOP
+    assert stop(kept(ramp(STOP, 0.33, SPEED), seed)) is not None
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_stop_faster_than_stated_that_the_bank_has_is_certain_after_a_sixth(seed: int) -> None:
+    readings = kept(ramp(3.0 * STOP, 0.16, SPEED), seed)
+    declared = stop(readings, AGREED_STOP, as_stated=False)
+    assert declared is not None
+    assert declared.values[1] == pytest.approx(SPEED + 3.0 * STOP * 0.16, abs=0.016)
+    assert declared.values[2] < 1.3 * STOP
+
+
+def test_what_the_change_has_made_of_another_state_is_taken_back() -> None:
+    readings = kept(ramp(START, 0.5), 1)
+    ages = np.linspace(0.012, 0.9, 75)
+    others = OnsetBank(2e-3 * ages[None] ** 2, np.stack((ages, ages, ages, ages)))
+    declared = distance_change.find(readings, START, 0.0, 3e-4, SIGMA, STARTS, SURE, others)
+    assert declared is not None
+    assert declared.values[3] == pytest.approx(-2e-3 * 0.5**2, rel=0.4)
+    assert np.linalg.eigvalsh(declared.covariance).min() > 0.0
 
 
 def test_a_steady_motion_is_no_change() -> None:
     for seed in range(40):
-        stands = distance_change.find(kept(ramp(0.0, 0.5), seed), START, 0.0, 3e-4, SIGMA)
-        runs = distance_change.find(kept(ramp(0.0, 0.5, SPEED), seed), STOP, SPEED, 3e-3, SIGMA)
-        assert all(each is None or each.odds < 6.0 for each in (stands, runs))
+        assert start(kept(ramp(0.0, 0.5), seed), 6.0) is None
+        assert stop(kept(ramp(0.0, 0.5, SPEED), seed), 6.0, as_stated=False) is None
 
 
 @pytest.mark.parametrize("ago", [0.04, 0.06, 0.08, 0.1, 0.2, 0.3, 0.6])
@@ -62,21 +112,20 @@ def test_a_frozen_or_stepping_reading_is_no_change(ago: float) -> None:
     ages = T0 * np.arange(83.0, -1.0, -1.0)
     frozen = -SPEED * np.maximum(ages, ago)
     stepped = np.where(ages < ago, 0.006, 0.0)
-    assert distance_change.find(kept(frozen, 1), STOP, SPEED, 3e-3, SIGMA) is None
-    assert distance_change.find(kept(stepped, 1), START, 0.0, 3e-4, SIGMA) is None
+    assert stop(kept(frozen, 1)) is None
+    assert start(kept(stepped, 1)) is None
 
 
 @pytest.mark.parametrize("phase", np.linspace(0.0, 5.5, 12))
 def test_the_ripple_of_a_chain_is_no_stop(phase: float) -> None:
     ages = T0 * np.arange(83.0, -1.0, -1.0)
     chain = -SPEED * ages + 0.75e-3 * np.sin(2.0 * np.pi * 1.06 * ages + phase)
-    found = distance_change.find(kept(chain, 1), STOP, SPEED, 3e-3, SIGMA)
-    assert found is None or found.odds < SURE_STOP
+    assert stop(kept(chain, 1)) is None
 
 
 def test_too_few_readings_show_nothing() -> None:
     few = kept(ramp(START, 0.5), 1)[:, -5:]
-    assert distance_change.find(few, START, 0.0, 3e-4, SIGMA) is None
+    assert start(few) is None
 
 
 def started(*, gives_way: bool) -> float | None:

@@ -10,7 +10,7 @@ distance sensor does not.
 import cmath
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -46,6 +46,7 @@ RIPPLE_FACTORS = (0.7, 1.4)  # range of the ripple's frequency over the configur
 EPSILON = 1e-9  # mean of an amplitude whose sign alone is known
 LEAST_FASTER = 0.02  # of a faster change that widens the estimate of another
 FASTER_SIGMAS = 3.0  # beyond the configured acceleration from which a change is a faster one
+MISSED_ODDS = -1.4  # log odds of a faster change before any reading, of one that the bank missed
 RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nominal one [1/sqrt(s)]
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
@@ -225,6 +226,18 @@ class BankModel:
         It is the opposite of the change out of that class.
         """
         return {motion: self._faster(motion, -EPSILON, -math.inf) for motion in RAMPS}
+
+    @cached_property
+    def shown_priors(self) -> dict[Motion, tuple[AmplitudePrior, ...]]:
+        """Priors of the amplitude of a change that the distance sensor alone shows, by class.
+
+        The bank has missed it, so it is rather another one than the one configured.
+        """
+        shown = {}
+        for motion, faster in self.faster_priors.items():
+            wider = () if faster is None else (replace(faster, odds=MISSED_ODDS),)
+            shown[motion] = (self.change_prior, *wider)
+        return shown
 
     def _faster(self, motion: Motion, mean: float, least: float) -> AmplitudePrior | None:
         faster = self.bank.faster

@@ -36,6 +36,8 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     RAMPS,
     RANDOM,
     STATES,
+    SWAY,
+    SWAY_QUADRATURE,
     BankModel,
     BankState,
     Guide,
@@ -50,7 +52,7 @@ from linemate.daemon.core.tracking.classifiers.distance import (
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
 from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
-from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
+from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior, OnsetBank
 from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
 from linemate.daemon.core.tracking.conveyor import (
     LONGEST_TENTATIVE_S,
@@ -69,12 +71,15 @@ RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the 
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
 ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this time [s]
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
+AGREED_STOP = 17.0  # the same of a stop that the bank is certain of
 LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
 FELT_S = 0.008  # a contact is known for so long after a deflection: two samples of 250 Hz [s]
 UNSURE = 0.5  # share of what a ramp turns out to be stronger that may be wrong
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
+
+_SWAY = np.array((SWAY, SWAY_QUADRATURE))
 
 
 class BankClassifier(BankModel):
@@ -200,13 +205,8 @@ class BankClassifier(BankModel):
         impulse = onset_bank.posterior(state.impulses, self.impulse_prior)
         change_odds = change.odds - _softplus(impulse.odds)
         impulse_odds = impulse.odds - _softplus(change.odds)
-        motion, event = NEXT[state.motion]
-        settings = self.bank
-        limit = settings.start_confirmed
-        if event == "stop":
-            # A drive that starts is less even than one that runs.
-            is_quick = state.is_keen and state.motion is Motion.RUNNING
-            limit = settings.contact_confirmed if is_quick else settings.stop_confirmed
+        motion, _ = NEXT[state.motion]
+        settings, limit = self.bank, self._limit(state)
         state = replace(
             state,
             change=change,
@@ -227,6 +227,14 @@ class BankClassifier(BankModel):
             # The prediction follows no stop either, as long as a step is likelier.
             state = replace(state, distance_odds=-step.odds)
         return self._declare(state, motion, limit)
+
+    def _limit(self, state: BankState) -> float:
+        """Return the log odds from which the change out of the class in force is confirmed."""
+        if NEXT[state.motion][1] != "stop":
+            return self.bank.start_confirmed
+        # A drive that starts is less even than one that runs.
+        is_quick = state.is_keen and state.motion is Motion.RUNNING
+        return self.bank.contact_confirmed if is_quick else self.bank.stop_confirmed
 
     def _declare(self, state: BankState, motion: Motion, limit: float) -> BankState:
         """Return the state with a change declared as its odds say, or an impulse.
@@ -316,17 +324,29 @@ class BankClassifier(BankModel):
         if state.guide is None or state.is_firm or not is_due or state.motion in RAMPS:
             return None
         stands = state.motion is Motion.STANDING
-        left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
+        speed, deviation, limit = float(state.guide.x[V]), LED_DEVIATION, SURE_STOP
+        priors = self.shown_priors[state.motion]
+        if stands:
+            left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
+            speed, deviation = 0.0, math.hypot(STANDING_DEVIATION, left)
+            limit = self.bank.start_confirmed
+        elif state.tentative and state.change_odds > self._limit(state):
+            # The bank has it, with an onset or an acceleration that the sensor denies.
+            speed, deviation, limit = state.cruise, RUNNING_DEVIATION, AGREED_STOP
+        else:
+            priors = priors[:1]  # a frozen sensor looks like a stop that is fast enough
         # Readings of the class before show a change that was decided already.
         change = distance_change.find(
             distance_check.since(state.readings, state.class_age),
             self.changes[state.motion],
-            0.0 if stands else float(state.guide.x[V]),
-            math.hypot(STANDING_DEVIATION, left) if stands else LED_DEVIATION,
+            speed,
+            deviation,
             self.distance_deviation,
+            priors,
+            limit,
+            OnsetBank(state.changes.error[_SWAY], state.changes.sums),
         )
-        limit = self.bank.start_confirmed if stands else SURE_STOP
-        if change is None or change.odds <= limit:
+        if change is None:
             return None
         return self._accept_by_distance(state, change, state.guide, complied)
 
@@ -338,27 +358,32 @@ class BankClassifier(BankModel):
         The object is where the tool holds it. What the conveyor has moved against it is an offset.
         """
         motion, event = NEXT[state.motion]
-        change, onset = declared.share * self.changes[state.motion], declared.onset
         events = [*state.events, (event, "tentative"), (event, "confirmed")]
         if state.tentative:
             events.remove((event, "tentative"))
+        reading, speed, change, *sway = declared.values.tolist()
         x, P = state.x.copy(), state.P.copy()
-        x[Y], x[V] = float(led.x[Y]) + complied, max(declared.speed + change * onset, 0.0)
+        # The null filter has taken a part of the change for a sway.
+        x[_SWAY[: len(sway)]] += sway
+        x[Y] = float(led.x[Y] + led.x[SWAY] - x[SWAY]) + complied
+        x[V] = max(speed, 0.0)
         x[RANDOM], x[ACCELERATION] = 0.0, change
-        x[OFFSET] = declared.reading - float(x[Y])
+        x[OFFSET] = reading - float(x[Y])
         known = [Y, V, RANDOM, OFFSET, ACCELERATION]
         P[known, :] = P[:, known] = 0.0
-        # The sensor is too coarse to show whether a change is faster or began earlier.
-        unsure = math.hypot(
-            self.bank.amplitude_deviation * change,
-            self.faster_amplitude(state) * self.changes[state.motion],
-        )
-        P[ACCELERATION, ACCELERATION], P[V, ACCELERATION] = unsure**2, unsure**2 * onset
-        P[ACCELERATION, V], P[V, V] = unsure**2 * onset, (unsure * onset) ** 2 + REST_DEVIATION**2
-        P[Y, Y], P[OFFSET, OFFSET] = HELD_DEVIATION**2, HELD_DEVIATION**2
+        shown = np.array((OFFSET, V, ACCELERATION, *_SWAY[: len(sway)]))
+        P[shown[:, None], shown] += declared.covariance
+        P[V, V] += REST_DEVIATION**2
+        P[OFFSET, OFFSET] += HELD_DEVIATION**2
+        P[Y, Y] = HELD_DEVIATION**2
         P[RANDOM, RANDOM] = self.fusion.contact_ripple**2
         return replace(
-            clear_banks(state), x=x, P=P, motion=motion, class_age=onset, events=tuple(events)
+            clear_banks(state),
+            x=x,
+            P=P,
+            motion=motion,
+            class_age=declared.onset,
+            events=tuple(events),
         )
 
     def _asks_distance(self, state: BankState, limit: float) -> bool:

@@ -3,46 +3,62 @@
 The tool holds such an object, and both swing on the mount. Camera and force-torque sensor then see
 the swing, and the bank takes the change of class for it. The distance sensor sees the conveyor: a
 start of 13 mm/s^2 is certain after 0.5 s. Each onset of a grid is fitted to its last readings,
-with and without the change.
+with and without the change. The estimate is the mean over onsets and accelerations: the sensor is
+too coarse to show whether a change is faster or began earlier.
 """
+
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.classifiers import onset_bank
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import (
     LEAST_READINGS,
     LEVEL_DEVIATION,
 )
+from linemate.daemon.core.tracking.classifiers.onset_bank import (
+    COUNTED_S,
+    AmplitudePrior,
+    OnsetBank,
+)
 
-ONSETS = np.linspace(0.12, 0.84, 13)  # time since the change began [s]
+ONSETS = np.geomspace(0.06, 0.84, 24)  # time since the change began [s]
 LEAST_BEFORE_S = 0.12  # of readings before the onset, which show the motion without the change [s]
-SHARES = (0.7, 1.4)  # of the nominal acceleration that a change may have
+MOST_ONSETS = math.log((ONSETS[-1] - ONSETS[0]) / COUNTED_S) + 1.0  # log of their number, and more
 LARGEST_RESIDUAL = 1.6  # rms residual of all readings and of those since the onset, in sigmas
 
 
-class DistanceChange(Struct, frozen=True):
+class DistanceChange(Struct, frozen=True, eq=False):
     """A change of class, fitted to readings of the distance sensor.
 
     Attributes:
         odds: log odds of the change against none.
         onset: time since it began [s].
-        share: of the nominal acceleration.
-        speed: before the change [m/s].
-        reading: of the sensor now, by the fit [m].
+        values: reading now [m], speed now [m/s], added acceleration [m/s^2], and what the change
+            adds to other states.
+        covariance: of the values, onset and acceleration unknown.
     """
 
     odds: float
     onset: float
-    share: float
-    speed: float
-    reading: float
+    values: Array
+    covariance: Array
 
 
 def find(
-    readings: Array, change: float, speed: float, speed_deviation: float, deviation: float
+    readings: Array,
+    change: float,
+    speed: float,
+    speed_deviation: float,
+    deviation: float,
+    priors: Sequence[AmplitudePrior],
+    least_odds: float,
+    others: OnsetBank | None = None,
 ) -> DistanceChange | None:
-    """Return the likeliest change; None if there is none that fits the readings.
+    """Return the change; None if there is none so likely that fits the readings.
 
     A step or a frozen value is no change: its residual is too large.
 
@@ -52,33 +68,61 @@ def find(
         speed: steady one before the change [m/s].
         speed_deviation: one sigma of it [m/s].
         deviation: one sigma of a reading [m].
+        priors: of the share of ``change``, with their odds.
+        least_odds: log odds from which it counts.
+        others: errors that the change has made of other states, by its age.
     """
     ages, values = readings
     if len(ages) < LEAST_READINGS:
         return None
     onsets = ONSETS[ages[0] - LEAST_BEFORE_S >= ONSETS]
-    if not len(onsets):
+    if len(onsets) < 2:
         return None
     way = values - values[-1] + speed * ages
     begun = np.maximum(onsets[:, None] - ages, 0.0)
     changed = 0.5 * change * begun * begun
     steady = np.stack((np.ones_like(ages), -ages))
     prior = np.diag((LEVEL_DEVIATION**-2, speed_deviation**-2)) * deviation**2
-    fitted = np.linalg.solve(steady @ steady.T + prior, steady)
+    inverse = np.linalg.inv(steady @ steady.T + prior)
+    products, with_steady = changed @ np.vstack((steady, way)).T, steady @ way
     # Without the level and the speed that explain most of both.
-    left = changed - (changed @ fitted.T) @ steady
-    power = np.einsum("ij,ij->i", left, changed)
-    shares = (left @ way) / np.maximum(power, 1e-12)
-    odds = (shares - 0.5) * power / deviation**2
-    best = int(odds.argmax())
-    share = float(shares[best])
-    level, more = (fitted @ (way - share * changed[best])).tolist()
-    onset = float(onsets[best])
-    residual = way - share * changed[best] - level + more * ages
-    recent = residual[ages <= onset]
-    limit = (LARGEST_RESIDUAL * deviation) ** 2
-    fits = all(float(each @ each) < limit * len(each) for each in (residual, recent))
-    if not fits or not SHARES[0] <= share <= SHARES[1]:
+    absorbed = products[:, :2] @ inverse
+    sums = np.zeros((4, len(onsets)))
+    A = np.einsum("ij,ij->i", changed, changed) - np.einsum("ij,ij->i", absorbed, products[:, :2])
+    B = products[:, 2] - absorbed @ with_steady
+    sums[0], sums[1], sums[2] = A / deviation**2, B / deviation**2, onsets
+    # No prior makes a change likelier than the best acceleration does.
+    if float((B * B - 2.0 * deviation**2 * (least_odds - MOST_ONSETS) * A).max()) < 0.0:
         return None
-    now = float(values[-1]) + level + 0.5 * share * change * onset * onset
-    return DistanceChange(float(odds[best]), onset, share, speed + more, now)
+    bank = OnsetBank(absorbed.T, sums, np.gradient(onsets) / COUNTED_S)
+    results = [onset_bank.posterior(bank, each) for each in priors]
+    odds = float(np.logaddexp.reduce([each.odds for each in results]))
+    if odds <= least_odds:
+        return None
+    weights = np.concatenate([each.weights * math.exp(each.odds - odds) for each in results])
+    shares = np.concatenate([each.amplitudes for each in results])
+    best = int(weights.argmax())
+    share, best = float(shares[best]), best % len(onsets)
+    steady_now = inverse @ with_steady
+    level, more = (steady_now - share * absorbed[best]).tolist()
+    residual = way - share * changed[best] - level + more * ages
+    recent = residual[ages <= onsets[best]]
+    limit = (LARGEST_RESIDUAL * deviation) ** 2
+    if not all(float(each @ each) < limit * len(each) for each in (residual, recent)):
+        return None
+    # What a share of 1 makes of the values, the steady motion fitted.
+    reading = 0.5 * change * onsets * onsets - absorbed[:, 0]
+    rows = [reading, change * onsets - absorbed[:, 1], np.full(len(onsets), change)]
+    if others is not None and len(others):
+        rows += [-np.interp(onsets, others.age, error) for error in others.error]
+    unit = np.tile(np.array(rows), len(results))
+    each = unit * shares
+    each[0] += float(values[-1]) + steady_now[0]
+    each[1] += speed + steady_now[1]
+    mean = each @ weights
+    off = each - mean[:, None]
+    variances = np.concatenate([1.0 / (sums[0] + 1.0 / r.variance) for r in results]) * weights
+    covariance = (weights * off) @ off.T + (variances * unit) @ unit.T
+    covariance[:2, :2] += deviation**2 * inverse
+    onset = float(np.tile(onsets, len(results)) @ weights)
+    return DistanceChange(odds, onset, mean, covariance)
