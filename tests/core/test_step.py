@@ -1,5 +1,6 @@
 """One sampling step: pure, committed to its outputs, and never beyond its limits."""
 
+import dataclasses as dc
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -27,7 +28,9 @@ from linemate.daemon.core.step import (
     step,
 )
 from linemate.daemon.core.tracking import estimation, tracker, tracker_state
-from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.settings import PayloadSettings
+from linemate.daemon.core.tracking.task import Gate, Phase
+from linemate.daemon.core.tracking.touch import held_bolts
 from linemate.daemon.core.tracking.touch.force_sign import TESTS, UNANSWERED, ForceSign
 from linemate.daemon.core.tracking.touch.withdrawal import WAY
 from linemate.daemon.recording import snapshot
@@ -552,6 +555,22 @@ def test_a_touch_with_more_force_than_the_advance_gives_ends_and_moves_no_target
     assert outputs.contact
     assert (outputs.unanswered_n is not None) == is_doubted
     assert (offsets[-1] == offsets[-4]) == is_doubted
+
+
+def test_a_released_tool_that_springs_free_shows_no_place_of_the_object(assembly: Assembly) -> None:
+    """The wheel stays on the hub, and its bolts with it: the tool would follow its own swing."""
+    payload = PayloadSettings(bolts=0.025, bolt_play=0.0005)
+    its = dc.replace(P.tracker.settings, payload=payload)
+    with_bolts = dc.replace(P, tracker=dc.replace(P.tracker, settings=its))
+    k = assembly.outputs.index(assembly.at(14.9))
+    state = assembly.states[k]
+    assert Gate.WHEEL_RELEASED in state.tracker.passed
+    assert held_bolts.is_entered(payload, state.tracker.distance)
+    for inputs in assembly.inputs[k : k + 20]:
+        felt = tuple(replace(w, force=(-120.0, 0.0, 0.0)) for w in inputs.wrench)
+        state, outputs = step(state, replace(inputs, wrench=felt), with_bolts)
+        assert not outputs.contact
+        assert state.tracker.held == estimation.UNHELD
 
 
 def test_no_screws_are_ordered_in_a_retreat() -> None:

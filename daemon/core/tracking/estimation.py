@@ -571,7 +571,8 @@ def _correct_held(
     """
     settings = tracker.settings
     payload, mount = settings.payload, settings.tactile
-    is_free = state.started and not state.contact and state.withdrawn is None
+    # A clamp that was ordered to open leaves the bolts in the object: its tool springs free.
+    is_free = state.started and not state.contact and state.releasing is None
     if not is_free or not held_bolts.is_entered(payload, state.distance):
         return transverse
     bending = tare.bending(state.tare, wrench, mount)
