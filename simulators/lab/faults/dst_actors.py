@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.cycle.states import State
@@ -19,8 +20,11 @@ from linemate.simulators.lab.faults.dst_controllers import StrictFamily
 from linemate.simulators.lab.faults.dst_oracles import FaultOracle
 from linemate.simulators.lab.faults.dst_orders import NAMES, CommandWire
 from linemate.simulators.lab.faults.dst_plan import FaultPlan
+from linemate.simulators.plants import rotation
+from linemate.simulators.plants.arm import ArmPlant
 from linemate.simulators.plants.contact_plant import RELEASE_WHEEL
-from linemate.simulators.plants.scenario import Axis, Vector7
+from linemate.simulators.plants.rotation import Pose
+from linemate.simulators.plants.scenario import Axis, Robot, Vector7
 from linemate.simulators.plants.world import World
 
 HOMING_S = 0.5
@@ -31,6 +35,8 @@ HOMING_SHARE = 0.7
 """Of what its servo can accelerate, at most: a rail that was asked for more rang for 2 s."""
 OPENING_S = 0.5
 """For which it stands before that while its clamp opens [s]; the clamp needs 0.3 s."""
+OUT_M, OUT_S = 0.08, 0.5
+"""A tool nearer to the hub's plane is drawn straight out of the hub first, so far in this time."""
 HOME_EVERY = 3
 """In one seed of so many the daemon brings the robot home by corrections."""
 HARMLESS: tuple[dict[str, Any], ...] = (
@@ -80,6 +86,36 @@ def homing_time(ways: Sequence[float], axes: Sequence[Axis]) -> float:
     return max(HOMING_S, max(ways) / HOMING_SPEED, *least_s)
 
 
+def smooth(share: float) -> float:
+    """Return a quintic from 0 to 1 over a share of a time, 0 before and 1 after it."""
+    s = min(max(share, 0.0), 1.0)
+    return s**3 * (10.0 + s * (6.0 * s - 15.0))
+
+
+def drawn_out(robot: Robot, joints: Vector7, way: float) -> Vector7:
+    """Return the axes with the tool drawn back along its own axis by a way [m]; E1 stands."""
+    tcp, axes = ArmPlant(robot).tcp, np.array(joints)
+    place, turn = tcp(joints)
+    back = rotation.apply(turn, (0.0, 0.0, -way))
+    goal = (place[0] + back[0], place[1] + back[1], place[2] + back[2]), turn
+    for _ in range(6):
+        off = _off(tcp(tuple(axes.tolist())), goal)
+        columns = []
+        for n in range(6):
+            moved = axes.copy()
+            moved[n] += 1e-6
+            columns.append((off - _off(tcp(tuple(moved.tolist())), goal)) / 1e-6)
+        axes[:6] += np.linalg.lstsq(np.array(columns).T, off, rcond=1e-4)[0]
+    a1, a2, a3, a4, a5, a6, e1 = axes.tolist()
+    return a1, a2, a3, a4, a5, a6, e1
+
+
+def _off(pose: Pose, goal: Pose) -> "np.ndarray[Any, np.dtype[np.float64]]":
+    """Return way and turn (6,) from a pose to another [m, rad]."""
+    turned = rotation.apply(pose[1], rotation.log(rotation.between(pose[1], goal[1])))
+    return np.array((*(b - a for a, b in zip(pose[0], goal[0], strict=True)), *turned))
+
+
 class Programme:
     """The controller's program: pauses, brakes, drives home, starts again.
 
@@ -100,7 +136,7 @@ class Programme:
         self._paused_until_s: float | None = None
         self._braked_until_s: float | None = None
         self._pose = self._plant.start
-        self._from = self._pose
+        self._from = self._out = self._pose
         self._took_s = 1.0
         self._is_open = False
         self.leads = self.is_sent = False
@@ -117,7 +153,7 @@ class Programme:
             # Drives that are off stay where they are, whatever the controller was sent in between.
             is_braked = self._braked_until_s is not None
             where = self._pose if is_braked else robot_program.standing(self._controller)
-            self._from = self._pose = where
+            self._from = self._out = self._pose = where
         self._paused_until_s = max(now_s + duration_s, self._paused_until_s or now_s)
 
     def brake(self, now_s: float, duration_s: float) -> None:
@@ -129,17 +165,25 @@ class Programme:
     def home(self, now_s: float) -> None:
         """Drive to the rest pose without RSI; the program starts again there.
 
-        A closed clamp is opened before: no programme drives off with the object.
+        A closed clamp is opened before: no programme drives off with the object. A tool at the hub
+        is drawn straight out of it: a motion of the axes alone leads it sideways.
         """
-        world, opening_s = self._simulation.world, 0.0
+        world, opening_s, out_s = self._simulation.world, 0.0, 0.0
         if world.contact == "clamped":
             world.digital_out(RELEASE_WHEEL)
             opening_s = OPENING_S
-        self._from, self._pose = robot_program.standing(self._controller), self._plant.start
-        ways = [abs(a - b) for a, b in zip(self._from, self._pose, strict=True)]
+        where = robot_program.standing(self._controller)
+        self._from, self._out, self._pose = where, where, self._plant.start
+        hub, rigid = world.hub(), world.rigid()
+        away = [a - b for a, b in zip(rigid[0], hub[0], strict=True)]
+        left = OUT_M + rotation.unapply(hub[1], (away[0], away[1], away[2]))[2]
+        if left > 0.0:
+            self._out, out_s = drawn_out(world.scenario.robot, where, min(left, OUT_M)), OUT_S
+        ways = [abs(a - b) for a, b in zip(self._out, self._pose, strict=True)]
         self._took_s = homing_time(ways, world.scenario.robot.axes)
-        self._paused_until_s = now_s + opening_s + self._took_s
-        self.homing_s += opening_s + self._took_s
+        lasts_s = opening_s + out_s + self._took_s
+        self._paused_until_s = now_s + lasts_s
+        self.homing_s += lasts_s
 
     @property
     def is_open(self) -> bool:
@@ -196,10 +240,12 @@ class Programme:
     def _stand(self) -> None:
         world, plant = self._simulation.world, self._plant
         left_s = (self._paused_until_s or world.time_s) - world.time_s
-        share = min(max(1.0 - left_s / self._took_s, 0.0), 1.0)
-        share = share**3 * (10.0 + share * (6.0 * share - 15.0))
-        moved = (a + share * (b - a) for a, b in zip(self._from, self._pose, strict=True))
-        world.command(tuple(moved))
+        out, home = (
+            smooth(1.0 - (left_s - self._took_s) / OUT_S),
+            smooth(1.0 - left_s / self._took_s),
+        )
+        ways = zip(self._from, self._out, self._pose, strict=True)
+        world.command(tuple(a + out * (b - a) + home * (c - b) for a, b, c in ways))
         plant.cycle += 1
         world.advance(world.cycle_start(plant.cycle))
 
