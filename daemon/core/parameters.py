@@ -205,7 +205,9 @@ def _tracker(
         search_time=reference.time_of(Phase.CONTACT, Phase.SCREWS),
         press=reference.press,
         damped_until=damped_until(reference, blend),
-        withdrawal=compile_withdrawal(controller.tcp_limit.free, task.conveyor.nominal_speed),
+        withdrawal=compile_withdrawal(
+            controller.tcp_limit.free, task.conveyor.nominal_speed, -float(table.relative[-1, 2])
+        ),
     )
 
 

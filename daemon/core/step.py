@@ -583,6 +583,7 @@ def _is_finished(state: StepState, report: tracker_state.Report, parameters: Par
     if state.follow is not None:
         return followed_poses.is_over(state.follow, parameters.cycle_s)
     withdrawn = state.tracker.withdrawn
-    lasting = 1.2 * parameters.tracker.withdrawal.duration
+    way = parameters.tracker.withdrawal
+    lasting = max(1.2 * way.duration, way.lasting(state.tracker.further))
     is_withdrawn = withdrawn is not None and withdrawn > lasting
     return report.phase is Phase.DONE or is_withdrawn

@@ -479,6 +479,19 @@ def test_a_retreat_that_lost_its_commands_goes_on_from_rest(lost: int) -> None:
     assert world.state.tracker.gone == gone
 
 
+def test_a_retreat_goes_on_for_a_second_towards_where_the_programme_leaves_the_object() -> None:
+    world = on_the_object().fork()
+    for _ in range(round(1.3 / P.cycle_s)):
+        inputs = world.inputs(MotionOrder.RETREAT)
+        assert inputs.robot is not None
+        world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
+    assert world.outputs is not None
+    assert world.outputs.finished
+    assert -depth(world.outputs) == pytest.approx(WAY + world.state.tracker.further, abs=0.01)
+    # The shipped body's plane comes 0.18 m nearer as it goes on past the tool.
+    assert -depth(world.outputs) > 0.21
+
+
 def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:
     world = tracking(2.4)
     world.run(0.06, MotionOrder.HOLD)

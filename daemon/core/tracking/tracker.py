@@ -150,19 +150,34 @@ def _gone(tracker: Tracker, state: TrackerState) -> float:
     if before <= 0.0:  # it has begun again in the last step already
         return state.gone
     times = np.array([before + release.STANDING_S])
-    return state.gone + float(tracker.withdrawal.way(times, state.gone)[0])
+    return state.gone + float(tracker.withdrawal.way(times, state.gone, state.further)[0])
 
 
-def _withdraw(tracker: Tracker, state: TrackerState, goal: Array) -> Array:
-    """Return the goal (m, 6) of a tool that withdraws.
+def _withdraw(
+    tracker: Tracker, state: TrackerState, goal: Array, part: Array | None
+) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) of a tool that withdraws.
 
     One that begins again at rest takes up the object's speed as gradually as its own.
+
+    Args:
+        part: (6,) the object now, None while it is not seen.
     """
+    if state.withdrawn == 0.0 and state.gone <= 0.0:
+        state = replace(state, further=_further(tracker, state, part))
     times = (state.withdrawn or 0.0) + tracker.span
-    goal = approach.withdraw(goal, tracker.withdrawal.way(times, state.gone))
+    goal = approach.withdraw(goal, tracker.withdrawal.way(times, state.gone, state.further))
     if state.gone > 0.0:
         goal[:, merge.ALONG] -= state.speed * withdrawal.lag(times)
-    return goal
+    return state, goal
+
+
+def _further(tracker: Tracker, state: TrackerState, part: Array | None) -> float:
+    """Return the way of a retraction behind the least one [m]; none from an unseen object."""
+    if part is None:
+        return 0.0
+    axis = rotations.exp(state.poses[0, 3:])[:, 2]
+    return tracker.withdrawal.further(float(axis @ (part[:3] - state.poses[0, :3])))
 
 
 def _is_engaged(tracker: Tracker, state: TrackerState) -> bool:
@@ -222,7 +237,7 @@ def track(
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
-        goal = _withdraw(tracker, state, goal)
+        state, goal = _withdraw(tracker, state, goal, part)
     goal = merge.rounded(goal, tracker.corner)
     plan = tracker.merge_plan(in_contact=state.contact)
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)

@@ -147,6 +147,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
             offset from the object while the task is started; None if it tracked.
         gone: way of an emergency retraction before it began again at rest [m].
+        further: its way behind the least one [m].
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the classifier starts [m].
         pull: mean force on the tool in contact, or since its clamp was ordered to open [N].
@@ -217,6 +218,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     clamped: bool = False
     anchor: Array | None = None
     gone: float = 0.0
+    further: float = 0.0
     distance: float = math.inf
     readings: tuple[float, ...] = ()
     pull: Vector3 = (0.0, 0.0, 0.0)

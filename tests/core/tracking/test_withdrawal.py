@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.tracking.touch.withdrawal import (
+    ENDS_S,
     FASTEST,
     RAMP_S,
     SLOWEST,
@@ -36,6 +37,27 @@ def test_a_retraction_that_begins_again_goes_the_rest_of_its_way() -> None:
         assert (np.diff(way) >= -1e-12).all()
 
 
+@pytest.mark.parametrize("gone", [0.0, 0.1, 0.2, 0.4])
+def test_a_retraction_goes_on_for_what_is_left_of_a_second(gone: float) -> None:
+    withdrawal = Withdrawal(0.3, 0.3)
+    further = withdrawal.further(0.0)
+    assert withdrawal.lasting(further) == pytest.approx(ENDS_S)
+    assert WAY + further > 0.21
+    times = np.linspace(0.0, ENDS_S, 2001)
+    way = withdrawal.way(times, gone, further)
+    assert way[-1] == pytest.approx(max(WAY + further - gone, 0.0))
+    assert (np.diff(way) >= -1e-12).all()
+    assert Withdrawal(SLOWEST, 0.3).further(0.0) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("gap", "further"), [(0.02, 0.08), (0.08, 0.02), (0.1, 0.0), (0.15, 0.0), (0.4, 0.0)]
+)
+def test_a_retraction_leads_no_farther_than_the_task_does(gap: float, further: float) -> None:
+    assert Withdrawal(FASTEST, 0.25).further(gap) == pytest.approx(further)
+    assert Withdrawal(FASTEST).further(gap) == 0.0
+
+
 def test_an_object_is_taken_up_as_gradually_as_the_way_is() -> None:
     missing = lag(np.array([-0.1, 0.0, RAMP_S, 1.0]))
     assert missing == pytest.approx([0.0, 0.0, RAMP_S / 2.0, RAMP_S / 2.0])
@@ -43,10 +65,10 @@ def test_an_object_is_taken_up_as_gradually_as_the_way_is() -> None:
 
 def test_a_retraction_from_a_moving_object_keeps_the_free_speed_of_the_tcp() -> None:
     free, conveyor = 0.34, 0.106
-    along = compile_withdrawal(free, conveyor).speed
+    along = compile_withdrawal(free, conveyor, 0.3).speed
     assert 0.9 * free < math.hypot(along, conveyor) < free
 
 
 def test_a_retraction_is_not_endless_where_the_tcp_may_hardly_move() -> None:
-    assert compile_withdrawal(0.05, 0.106).speed == SLOWEST
-    assert compile_withdrawal(1.5, 0.106).speed == FASTEST
+    assert compile_withdrawal(0.05, 0.106, 0.3).speed == SLOWEST
+    assert compile_withdrawal(1.5, 0.106, 0.3).speed == FASTEST

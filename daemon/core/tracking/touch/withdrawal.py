@@ -1,5 +1,9 @@
 """Way of an emergency retraction along the tool's axis: a ramp up, a constant speed, a ramp down.
 
+It goes on behind ``WAY`` for what is left of a second, towards where the task's own retreat ends.
+An object that goes on passes the tool with all its width, and its plane may be oblique to the line:
+0.5 m of a line that is 19 degrees off bring it 0.18 m nearer.
+
 Invariants:
     * The speed is one that the limit of the tcp's speed lets pass, or ``SLOWEST``. A plan beyond it
       is slowed axis by axis: the arm left it by 24 mm, and the free tool swung with 470 N.
@@ -12,7 +16,8 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 
-WAY = 0.15  # of the retraction [m]
+WAY = 0.15  # of the retraction, whatever it lasts [m]
+ENDS_S = 0.97  # in which a longer one ends [s]
 RAMP_S = 0.24  # time in which its speed rises or falls [s]; 10 mm are left in 0.14 s
 FASTEST = 0.4  # speed of the retraction [m/s]
 SLOWEST = 0.2  # it must end within 1 s, whatever slows it [m/s]
@@ -25,34 +30,55 @@ class Withdrawal:
 
     Attributes:
         speed: between its ramps [m/s].
+        reach: distance from the object at which the task's own retreat leaves the tool [m].
     """
 
     speed: float
+    reach: float = 0.0
 
     @property
     def duration(self) -> float:
-        """Time from its begin to its end [s]."""
+        """Time from its begin to the end of ``WAY`` [s]."""
         return WAY / self.speed + RAMP_S
 
-    def way(self, times: Array, gone: float = 0.0) -> Array:
+    def further(self, gap: float) -> float:
+        """Return the way behind ``WAY``, at most to where the task's own retreat ends [m].
+
+        Args:
+            gap: from the tool to the object as the retraction begins [m].
+        """
+        in_time = (ENDS_S - self.duration) * self.speed
+        return max(min(self.reach - WAY - max(gap, 0.0), in_time), 0.0)
+
+    def lasting(self, further: float) -> float:
+        """Return the time from its begin to its end [s].
+
+        Args:
+            further: its way behind ``WAY`` [m].
+        """
+        return self.duration + further / self.speed
+
+    def way(self, times: Array, gone: float = 0.0, further: float = 0.0) -> Array:
         """Return the way (m,) at times from its begin (m,) [m].
 
         Args:
             gone: what it has done before it began again [m].
+            further: its way behind ``WAY`` [m].
         """
-        left = max(WAY - gone, 0.0)
+        left = max(WAY + further - gone, 0.0)
         way: Array = self.speed * (_ramp(times) - _ramp(times - left / self.speed))
         return way
 
 
-def compile_withdrawal(free_speed: float, conveyor_speed: float) -> Withdrawal:
+def compile_withdrawal(free_speed: float, conveyor_speed: float, reach: float) -> Withdrawal:
     """Return the retraction from an object that moves on across the tool's axis.
 
     Args:
         free_speed: of the tcp in base up to which nothing slows it [m/s].
+        reach: distance from the object at which the task's own retreat leaves the tool [m].
     """
     along = math.sqrt(max((MARGIN * free_speed) ** 2 - conveyor_speed**2, 0.0))
-    return Withdrawal(min(max(along, SLOWEST), FASTEST))
+    return Withdrawal(min(max(along, SLOWEST), FASTEST), reach)
 
 
 def lag(times: Array) -> Array:
