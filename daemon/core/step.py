@@ -423,6 +423,10 @@ def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:
     if inputs.pace is not None:
         # It moves even if the state was at rest: it has to brake first.
         gate, moving = command_limiter.moving(applied, *map(np.array, inputs.pace)), True
+        if state.moving:
+            # Else the way to the next desired setpoint would count as its speed, as in ``held``.
+            led = state.control.limiter
+            gate = replace(gate, desired=led.desired, desired_speed=led.desired_speed)
     return replace(
         state, applied=applied, control=replace(state.control, limiter=gate), moving=moving
     )

@@ -792,6 +792,21 @@ def test_a_robot_that_goes_on_is_led_as_if_the_step_before_were_its_own(assembly
     assert held.tracker.contact_state.calm == 0 < sent.tracker.contact_state.calm
 
 
+def test_a_robot_that_goes_on_behind_its_plan_is_not_sent_back_by_its_next_lost_command(
+    assembly: Assembly,
+) -> None:
+    k = next(k for k, o in enumerate(assembly.outputs) if (o.task_time or 0.0) > 2.0)
+    state, inputs = assembly.states[k], assembly.inputs[k]
+    gate = state.control.limiter
+    pace = (tuple(gate.speed.tolist()), tuple(gate.acceleration.tolist()))
+    behind = tuple((gate.position - 0.05 * gate.speed).tolist())
+    state, _ = step(state, replace(inputs, sent=False, applied=behind, pace=pace), P)
+    _, outputs = step(state, replace(assembly.inputs[k + 1], sent=False, applied=behind), P)
+    rail = outputs.command[6] - behind[6]
+    assert gate.speed[6] > 0.05
+    assert rail > 0.0
+
+
 def test_a_robot_that_goes_on_brakes_within_its_limits_though_it_was_taken_to_stand(
     assembly: Assembly,
 ) -> None:
