@@ -259,9 +259,17 @@ def find_reasons(
     return tuple([reason for reason, holds in lacking if holds])
 
 
-def describe(reason: Reason, evidence: GoEvidence, guard: GuardedApproach) -> str:
-    """Return a reason in words: what is wrong, value and limit, and what to do."""
-    place, turn = f"limit {1e3 * guard.tolerance:.1f} mm", f"{1e3 * guard.angle_tolerance:.0f} mrad"
+def describe(
+    reason: Reason, evidence: GoEvidence, guard: GuardedApproach, *, waiting: bool = False
+) -> str:
+    """Return a reason in words: what is wrong, value and limit, and what to do.
+
+    Args:
+        waiting: as of ``find_reasons``, whose limits it has.
+    """
+    share = RELEASE_SHARE if waiting else 1.0
+    place = f"limit {1e3 * share * guard.tolerance:.1f} mm"
+    turn = f"{1e3 * share * guard.angle_tolerance:.0f} mrad"
     whats = {
         Reason.SIGHT: f"no camera pose for {evidence.sight_s:.2f} s, limit {guard.sight:.2f} s",
         Reason.POSITION: (

@@ -100,7 +100,8 @@ def decide(
         may_back=_may_back(state),
     )
     if reasons and go.reasons:
-        go = replace(go, text=decision.describe(go.reasons[0], evidence, guard))
+        text = decision.describe(go.reasons[0], evidence, guard, waiting=waiting)
+        go = replace(go, text=text)
     return state if go is before else replace(state, go=go)
 
 

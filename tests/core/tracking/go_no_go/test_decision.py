@@ -90,6 +90,13 @@ def test_each_reason_is_found_alone_and_named_with_its_value(reason: Reason) -> 
     assert "nan" not in describe(reason, structs.replace(GOOD, sight_s=math.inf), GUARD)
 
 
+def test_a_waiting_tool_names_the_limit_that_it_waits_for() -> None:
+    evidence = structs.replace(GOOD, prediction=0.95 * GUARD.tolerance)
+    assert find_reasons(evidence, GUARD, waiting=True) == (Reason.PREDICTION,)
+    limit = f"limit {0.85e3 * GUARD.tolerance:.1f} mm"
+    assert limit in describe(Reason.PREDICTION, evidence, GUARD, waiting=True)
+
+
 @pytest.mark.parametrize(
     ("zone", "order", "reasons", "may_back"),
     list(itertools.product(Zone, GoOrder, [(), *((r,) for r in Reason)], (False, True))),
