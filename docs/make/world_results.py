@@ -20,7 +20,7 @@ COMMANDS = {
     "world": "linemate-sim world --seeds 0..1 --json",
     "plant-floor": f"linemate-sim world --rows {SCENARIOS} --seeds 0..39 --json",
     "plant-floor-verified": f"linemate-sim world --rows {SCENARIOS} --seeds 1000..1099 --json",
-    MEASURED: f"linemate-sim world --rows {MEASURED} --seeds 0..9 --json",
+    MEASURED: f"linemate-sim world --rows {MEASURED} --seeds 0..39 --json",
     "plant-floor-4ms": f"linemate-sim world --rows {FLOOR} --seeds 0..39 --cycle-ms 4 --json",
 }
 
@@ -193,7 +193,7 @@ def floor(load: Load, has: Has) -> str:
     """Return the table of the plant floor against what is asked of it."""
     columns = (
         ("12 ms", "plant-floor", FLOOR),
-        ("12 ms, arm measured, seeds 0-9", MEASURED, MEASURED),
+        ("12 ms, arm measured", MEASURED, MEASURED),
         ("12 ms, seeds 1000-1099", "plant-floor-verified", FLOOR),
         ("4 ms", "plant-floor-4ms", FLOOR),
         ("harsh, 12 ms", "plant-floor", HARSH),
