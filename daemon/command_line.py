@@ -37,6 +37,15 @@ class NegativeError(Exception):
     """The answer is no; the text says why."""
 
 
+def one_thread() -> None:
+    """Let BLAS have one thread, before numpy is imported.
+
+    More of them make a sum depend on the machine, and small problems slower.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+
+
 def run(program: str, command: Callable[[], int]) -> int:
     """Run a command and return its exit code, whatever ends it."""
     try:

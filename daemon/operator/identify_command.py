@@ -1,12 +1,18 @@
 """``linemate identify``: identify parameters from recordings and write them as an overlay."""
 
 import argparse
-import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from linemate.daemon.command_line import NO, OK, NegativeError, UsageError, check_output_file
+from linemate.daemon.command_line import (
+    NO,
+    OK,
+    NegativeError,
+    UsageError,
+    check_output_file,
+    one_thread,
+)
 from linemate.daemon.config import files as config_files
 from linemate.daemon.operator import console, render
 
@@ -25,19 +31,20 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
         "identify", help="servos, windup, tool, swing, delays and noise from recordings"
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE")
-    parser.add_argument(
-        "--out", type=Path, default=DEFAULT_OUT, metavar="FILE", help=f"overlay; {DEFAULT_OUT}"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add_outputs(parser, DEFAULT_OUT)
     parser.set_defaults(run=main)
+
+
+def add_outputs(parser: argparse.ArgumentParser, out: Path) -> None:
+    """Add ``--out`` and ``--json``, as ``present`` reads them."""
+    parser.add_argument("--out", type=Path, default=out, metavar="FILE", help=f"overlay; {out}")
+    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def main(args: argparse.Namespace) -> int:
     """Identify; the exit code says whether anything was identified."""
     check_output_file(args.out)
-    # BLAS threads make a sum depend on the machine, and small problems slower.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    one_thread()
     from linemate.daemon.identification.pipeline import IdentifyError
     from linemate.daemon.recording.format import UnreadableRecordingError
 
@@ -45,12 +52,25 @@ def main(args: argparse.Namespace) -> int:
         identified = from_files(args.files)
     except (UnreadableRecordingError, IdentifyError) as error:
         raise NegativeError(str(error)) from error
+    return present(identified, args, [path.name for path in args.files])
+
+
+def present(identified: "Identified", args: argparse.Namespace, names: Sequence[str]) -> int:
+    """Print what was identified, and write its overlay; return the exit code.
+
+        args: the parsed outputs: ``out`` and ``json``.
+        args: out, json.
+        names: of the files that it was identified from.
+
+    Raises:
+        UsageError: the overlay cannot be written.
+    """
     print(render.as_json(as_plain(identified)) if args.json else table(identified.findings))
     if not identified.overlay:
         console.complain("nothing could be identified; no overlay is written")
         return NO
     try:
-        write(args.out, overlay_text(identified, [path.name for path in args.files]))
+        write(args.out, overlay_text(identified, names))
     except OSError as error:
         raise UsageError(f"--out {args.out}: {error.strerror}") from error
     if not args.json:

@@ -6,7 +6,6 @@ Invariants:
 """
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from importlib import import_module
@@ -20,6 +19,7 @@ from linemate.daemon.command_line import (
     Version,
     check_output_file,
     check_output_folder,
+    one_thread,
 )
 from linemate.daemon.near_names import near_names
 from linemate.simulators.harness.cell.variants import SetupError, is_known, known
@@ -55,12 +55,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = _parser().parse_args(argv)
     one_thread()
     return command_line.run("linemate-sim", lambda: _dispatch(args))
-
-
-def one_thread() -> None:
-    """One thread each: runs are small, parallel and must not depend on how a sum was split."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
 
 
 def _dispatch(args: argparse.Namespace) -> int:

@@ -18,12 +18,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from linemate.daemon.command_line import one_thread
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness.cell import variants
 from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.cluster import digest
-from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.main import scheduler as parse_scheduler
 from linemate.simulators.harness.setup import Setup, shipped_control
 from linemate.simulators.judge import report_json

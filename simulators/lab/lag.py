@@ -16,9 +16,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from linemate.daemon.command_line import one_thread
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.cell import families
-from linemate.simulators.harness.main import one_thread
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.statistics import summarise
 from linemate.simulators.lab.campaign import CampaignJob, execute

@@ -1,7 +1,6 @@
 """``linemate commission``: walk through a site's commissioning; left and resumed at any step."""
 
 import argparse
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -10,7 +9,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from linemate.daemon.command_line import DISTRIBUTION, NO, OK, NegativeError, UsageError
+from linemate.daemon.command_line import (
+    DISTRIBUTION,
+    NO,
+    OK,
+    NegativeError,
+    UsageError,
+    one_thread,
+)
 from linemate.daemon.operator import console, render
 from linemate.protocol.stamped_samples import Vector3
 
@@ -81,9 +87,7 @@ class StepResult:
 
 def main(args: argparse.Namespace) -> int:
     """Do a step, or all that are due; the exit code says whether the last one has a result."""
-    # BLAS threads make a sum depend on the machine, and small problems slower.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    one_thread()
     from linemate.daemon.commissioning.walk import BY_NAME, StepName
     from linemate.daemon.operator.commissioning import site_files
 

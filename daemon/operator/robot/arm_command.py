@@ -1,12 +1,11 @@
 """``linemate identify-arm``: the arm's geometry from measured poses, written as an overlay."""
 
 import argparse
-import os
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import OK, NegativeError, UsageError, check_output_file
-from linemate.daemon.operator import console, identify_command, render
+from linemate.daemon.command_line import NegativeError, check_output_file, one_thread
+from linemate.daemon.operator import console, identify_command
 
 DEFAULT_OUT: Final = Path("arm-geometry.yaml")
 
@@ -20,19 +19,14 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config", type=Path, required=True, metavar="FILE", help="of the daemon: arm, tool, bend"
     )
-    parser.add_argument(
-        "--out", type=Path, default=DEFAULT_OUT, metavar="FILE", help=f"overlay; {DEFAULT_OUT}"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    identify_command.add_outputs(parser, DEFAULT_OUT)
     parser.set_defaults(run=main)
 
 
 def main(args: argparse.Namespace) -> int:
     """Identify, and write the overlay."""
     check_output_file(args.out)
-    # BLAS threads make a sum depend on the machine, and small problems slower.
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    one_thread()
     from linemate.daemon.config import config, files
     from linemate.daemon.config.documents import FileError
     from linemate.daemon.config.files import UnreadableError
@@ -57,15 +51,4 @@ def main(args: argparse.Namespace) -> int:
     if not any(control.bend.compliance):
         console.complain("control.bend is not set: the geometry takes the bend under weight")
     identified = Identified(geometry.findings, geometry.overlay, ())
-    if args.json:
-        print(render.as_json(identify_command.as_plain(identified)))
-    else:
-        print(identify_command.table(identified.findings))
-    try:
-        overlay = identify_command.overlay_text(identified, [args.file.name])
-        identify_command.write(args.out, overlay)
-    except OSError as error:
-        raise UsageError(f"--out {args.out}: {error.strerror}") from error
-    if not args.json:
-        print(f"\noverlay: {args.out}")
-    return OK
+    return identify_command.present(identified, args, [args.file.name])

@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
+from linemate.daemon.command_line import one_thread
 from linemate.simulators.judge.statistics import seed_text
 from linemate.simulators.lab.faults import dst_plan
 from linemate.simulators.lab.faults.dst_plan import SHORTEST_S, CycleMs, FaultPlan
@@ -67,8 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 if nothing was violated, 1 if something was, 2 for wrong arguments.
     """
     args = _parser().parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    one_thread()
     campaigns = EVERY if args.every else ((args.cycle_ms, args.cell),)
     drawn = [partial(dst_plan.draw, cycle_ms=cycle, cell=cell) for cycle, cell in campaigns]
     if args.trace:

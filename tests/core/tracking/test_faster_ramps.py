@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from conveyor_truth import START, STOP, Story, Truth, tell
+from msgspec.structs import replace
 
 from linemate.daemon.core.tracking.classifiers import onset_bank
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
@@ -60,6 +61,17 @@ def test_a_larger_amplitude_is_taken_only_where_it_explains_more() -> None:
         likeliest = onset_bank.likelier(bank, result, faster, 6.0)
         assert (likeliest is not result) is is_faster
         assert float(likeliest.amplitudes[0]) == pytest.approx(amplitude, abs=0.2)
+
+
+@pytest.mark.parametrize(("age_s", "is_faster"), [(0.1, True), (0.2, False)])
+def test_a_force_alone_shows_no_faster_change(age_s: float, is_faster: bool) -> None:
+    begun = onset_bank.begin(np.ones(1), (0.0,))
+    changes = onset_bank.OnsetBank(begun.error, np.array([[40.0], [240.0], [1.0], [0.0]]))
+    readings = np.stack((age_s + 0.01 * np.arange(20.0)[::-1], np.zeros(20)))
+    state = replace(BANK.initial(0.0), changes=changes, readings=readings)
+    usual = onset_bank.posterior(changes, BANK.change_prior)
+    assert (BANK.change_posterior(state).variance != usual.variance) is is_faster
+    assert (BANK.faster_amplitude(state) > 0.0) is is_faster
 
 
 def test_a_prior_does_not_hold_below_its_least_amplitude() -> None:

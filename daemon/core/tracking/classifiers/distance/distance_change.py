@@ -9,6 +9,7 @@ too coarse to show whether a change is faster or began earlier.
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -78,51 +79,91 @@ def find(
     onsets = ONSETS[ages[0] - LEAST_BEFORE_S >= ONSETS]
     if len(onsets) < 2:
         return None
-    way = values - values[-1] + speed * ages
-    begun = np.maximum(onsets[:, None] - ages, 0.0)
-    changed = 0.5 * change * begun * begun
-    steady = np.stack((np.ones_like(ages), -ages))
-    prior = np.diag((LEVEL_DEVIATION**-2, speed_deviation**-2)) * deviation**2
-    inverse = np.linalg.inv(steady @ steady.T + prior)
-    products, with_steady = changed @ np.vstack((steady, way)).T, steady @ way
-    # Without the level and the speed that explain most of both.
-    absorbed = products[:, :2] @ inverse
-    sums = np.zeros((4, len(onsets)))
-    A = np.einsum("ij,ij->i", changed, changed) - np.einsum("ij,ij->i", absorbed, products[:, :2])
-    B = products[:, 2] - absorbed @ with_steady
-    sums[0], sums[1], sums[2] = A / deviation**2, B / deviation**2, onsets
+    fit = _fit(ages, values - values[-1] + speed * ages, onsets, change, speed_deviation, deviation)
     # No prior makes a change likelier than the best acceleration does.
-    if float((B * B - 2.0 * deviation**2 * (least_odds - MOST_ONSETS) * A).max()) < 0.0:
+    A, B = fit.bank.A, fit.bank.B
+    if float((B * B - 2.0 * (least_odds - MOST_ONSETS) * A).max()) < 0.0:
         return None
-    bank = OnsetBank(absorbed.T, sums, np.gradient(onsets) / COUNTED_S)
-    results = [onset_bank.posterior(bank, each) for each in priors]
+    results = [onset_bank.posterior(fit.bank, each) for each in priors]
     odds = float(np.logaddexp.reduce([each.odds for each in results]))
     if odds <= least_odds:
         return None
     weights = np.concatenate([each.weights * math.exp(each.odds - odds) for each in results])
     shares = np.concatenate([each.amplitudes for each in results])
     best = int(weights.argmax())
-    share, best = float(shares[best]), best % len(onsets)
-    steady_now = inverse @ with_steady
-    level, more = (steady_now - share * absorbed[best]).tolist()
-    residual = way - share * changed[best] - level + more * ages
-    recent = residual[ages <= onsets[best]]
-    limit = (LARGEST_RESIDUAL * deviation) ** 2
-    if not all(float(each @ each) < limit * len(each) for each in (residual, recent)):
+    if not _explains(fit, ages, best % len(onsets), float(shares[best]), deviation):
         return None
     # What a share of 1 makes of the values, the steady motion fitted.
-    reading = 0.5 * change * onsets * onsets - absorbed[:, 0]
-    rows = [reading, change * onsets - absorbed[:, 1], np.full(len(onsets), change)]
+    reading = 0.5 * change * onsets * onsets - fit.absorbed[:, 0]
+    rows = [reading, change * onsets - fit.absorbed[:, 1], np.full(len(onsets), change)]
     if others is not None and len(others):
         rows += [-np.interp(onsets, others.age, error) for error in others.error]
     unit = np.tile(np.array(rows), len(results))
     each = unit * shares
-    each[0] += float(values[-1]) + steady_now[0]
-    each[1] += speed + steady_now[1]
+    each[0] += float(values[-1]) + fit.steady[0]
+    each[1] += speed + fit.steady[1]
     mean = each @ weights
     off = each - mean[:, None]
-    variances = np.concatenate([1.0 / (sums[0] + 1.0 / r.variance) for r in results]) * weights
+    variances = np.concatenate([1.0 / (A + 1.0 / r.variance) for r in results]) * weights
     covariance = (weights * off) @ off.T + (variances * unit) @ unit.T
-    covariance[:2, :2] += deviation**2 * inverse
+    covariance[:2, :2] += deviation**2 * fit.inverse
     onset = float(np.tile(onsets, len(results)) @ weights)
     return DistanceChange(odds, onset, mean, covariance)
+
+
+class _ChangeFit(NamedTuple):
+    """Readings fitted with and without a change, for each onset of a grid.
+
+    Attributes:
+        way: (m,) readings against the newest one, without the steady speed [m].
+        changed: (k, m) way of a change of share 1 [m].
+        absorbed: (k, 2) level [m] and speed [m/s] that explain most of it.
+        steady: (2,) level and speed of the readings without a change.
+        inverse: (2, 2) of their normal matrix.
+        bank: sums of the onsets, which ``onset_bank`` weighs.
+    """
+
+    way: Array
+    changed: Array
+    absorbed: Array
+    steady: Array
+    inverse: Array
+    bank: OnsetBank
+
+
+def _fit(
+    ages: Array,
+    way: Array,
+    onsets: Array,
+    change: float,
+    speed_deviation: float,
+    deviation: float,
+) -> _ChangeFit:
+    """Return the least squares of a steady motion and a change, for each onset (k,)."""
+    begun = np.maximum(onsets[:, None] - ages, 0.0)
+    changed = 0.5 * change * begun * begun
+    steady = np.stack((np.ones_like(ages), -ages))
+    prior = np.diag((LEVEL_DEVIATION**-2, speed_deviation**-2)) * deviation**2
+    inverse = np.linalg.inv(steady @ steady.T + prior)
+    products, with_steady = changed @ np.vstack((steady, way)).T, steady @ way
+    absorbed = products[:, :2] @ inverse
+    sums = np.zeros((4, len(onsets)))
+    A = np.einsum("ij,ij->i", changed, changed) - np.einsum("ij,ij->i", absorbed, products[:, :2])
+    B = products[:, 2] - absorbed @ with_steady
+    sums[0], sums[1], sums[2] = A / deviation**2, B / deviation**2, onsets
+    bank = OnsetBank(absorbed.T, sums, np.gradient(onsets) / COUNTED_S)
+    return _ChangeFit(way, changed, absorbed, inverse @ with_steady, inverse, bank)
+
+
+def _explains(fit: _ChangeFit, ages: Array, onset: int, share: float, deviation: float) -> bool:
+    """Return whether a change explains all readings, and by themselves those since its onset.
+
+        onset: index of the onset in the grid.
+        onset: its index.
+        share: of the nominal acceleration.
+    """
+    level, more = (fit.steady - share * fit.absorbed[onset]).tolist()
+    residual = fit.way - share * fit.changed[onset] - level + more * ages
+    recent = residual[ages <= fit.bank.age[onset]]
+    limit = (LARGEST_RESIDUAL * deviation) ** 2
+    return all(float(each @ each) < limit * len(each) for each in (residual, recent))
