@@ -58,8 +58,8 @@ def main(args: argparse.Namespace) -> int:
 def present(identified: "Identified", args: argparse.Namespace, names: Sequence[str]) -> int:
     """Print what was identified, and write its overlay; return the exit code.
 
+    Args:
         args: the parsed outputs: ``out`` and ``json``.
-        args: out, json.
         names: of the files that it was identified from.
 
     Raises:

@@ -158,8 +158,8 @@ def _fit(
 def _explains(fit: _ChangeFit, ages: Array, onset: int, share: float, deviation: float) -> bool:
     """Return whether a change explains all readings, and by themselves those since its onset.
 
+    Args:
         onset: index of the onset in the grid.
-        onset: its index.
         share: of the nominal acceleration.
     """
     level, more = (fit.steady - share * fit.absorbed[onset]).tolist()
