@@ -21,7 +21,14 @@ from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core import rotations
 from linemate.daemon.core.control.settings import AxisGeometry, ControlSettings
-from linemate.daemon.core.tracking.task import ConveyorClasses, Gate, PoseFile, TaskFile, ToolTimes
+from linemate.daemon.core.tracking.task import (
+    ConveyorClasses,
+    Gate,
+    Phase,
+    PoseFile,
+    TaskFile,
+    ToolTimes,
+)
 from linemate.protocol.stamped_samples import Vector3
 
 Vector = TypeVar("Vector", bound=tuple[float, ...])
@@ -177,6 +184,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
         yield from _not_unit(value, path)
     yield from _across(value)
     yield from _never_ordered(value, points)
+    yield from _ordered_early(value, points)
 
 
 def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
@@ -195,6 +203,29 @@ def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
             if ordered > time:
                 what = f"{ordered:g} s is after waypoints[{i}] at {time:g} s, which waits for it"
                 yield Complaint(("tool", order), what)
+
+
+def _ordered_early(value: Any, points: list[Any]) -> Iterator[Complaint]:
+    """Yield an order to the tool before the task's contact, and a release before the screws.
+
+    A clamp that opens in free air drops what it holds.
+    """
+    tool = ToolTimes()
+    screws, release = (_at(value, "tool", order) for order in ("fix_screws", "release_wheel"))
+    screws = tool.fix_screws if screws is None else screws
+    release = tool.release_wheel if release is None else release
+    if not (_is_number(screws) and _is_number(release)):
+        return
+    if release < screws:
+        what = f"{release:g} s is before tool.fix_screws at {screws:g} s"
+        yield Complaint(("tool", "release_wheel"), what)
+    for i, point in enumerate(points):
+        time = _at(point, "time")
+        if _at(point, "phase") == Phase.CONTACT.value and _is_number(time):
+            if screws < time:
+                what = f"{screws:g} s is before waypoints[{i}] at {time:g} s, where contact begins"
+                yield Complaint(("tool", "fix_screws"), what)
+            return
 
 
 def _falling(points: list[Any]) -> Iterator[Complaint]:

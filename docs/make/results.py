@@ -217,7 +217,8 @@ def readme() -> str:
             "demo",
         ),
         (
-            f"the same at a load of {number(min(loads))} to {number(max(loads))}",
+            f"the same at a load of {number(min(loads))} to {number(max(loads))},"
+            " with rights for real time",
             f"{sum(each['assembled'] for each in crowd)} of {len(crowd)} assembled",
             "demo-busy",
         ),

@@ -187,3 +187,10 @@ def test_what_an_overlay_of_a_task_may_not_hold_is_refused(text: str, what: str)
     with pytest.raises(FileError) as caught:
         overlaid(text)
     assert any(what in line and line.startswith("o.yaml:1:") for line in caught.value.lines)
+
+
+def test_an_order_before_contact_or_a_release_before_the_screws_is_reported() -> None:
+    (line,) = errors(edited("fix_screws: 8.5", "fix_screws: 5.9"))
+    assert "tool.fix_screws: 5.9 s is before waypoints[3] at 6 s, where contact begins" in line
+    (line,) = errors(edited("release_wheel: 14.5", "release_wheel: 0.0"))
+    assert "tool.release_wheel: 0 s is before tool.fix_screws at 8.5 s" in line
