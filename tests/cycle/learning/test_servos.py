@@ -63,7 +63,7 @@ def test_what_is_learned_stays_within_its_reach() -> None:
 
 
 def test_a_robot_that_did_not_move_teaches_nothing() -> None:
-    servos, entries = wheel(1.0)
+    servos, entries = wheel(0.9)
     mine = learner(servos)
     mine.record_motion([entry for entry in entries if entry.state == "idle"])
     assert not mine.ripe
