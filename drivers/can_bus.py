@@ -221,10 +221,7 @@ class _Pump:
     """Reads a bus without a descriptor in a thread into a bounded queue for the loop."""
 
     def __init__(
-        self,
-        bus: can.BusABC,
-        loop: asyncio.AbstractEventLoop,
-        on_ready: Callable[["_Pump"], None],
+        self, bus: can.BusABC, loop: asyncio.AbstractEventLoop, on_ready: Callable[["_Pump"], None]
     ) -> None:
         self.stop = threading.Event()
         self.broken: asyncio.Future[str] = loop.create_future()

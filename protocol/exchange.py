@@ -185,10 +185,7 @@ class Exchange:
     """
 
     def __init__(
-        self,
-        cycle_s: float,
-        session_gap_s: float = SESSION_GAP_S,
-        peer_gap_s: float = PEER_GAP_S,
+        self, cycle_s: float, session_gap_s: float = SESSION_GAP_S, peer_gap_s: float = PEER_GAP_S
     ) -> None:
         """Begin before the first telegram.
 

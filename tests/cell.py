@@ -47,9 +47,7 @@ def parameters(cycle_s: float = 0.012) -> Parameters:
 
 
 def robot_sample(
-    stamp_ns: int,
-    command: tuple[float, ...] | None = None,
-    digital_in: int = 0,
+    stamp_ns: int, command: tuple[float, ...] | None = None, digital_in: int = 0
 ) -> RobotSample:
     """What an ideal robot says: it is where it was commanded."""
     joints = (*REST, AXIS) if command is None else command

@@ -187,10 +187,7 @@ def _command() -> tuple[Wire, Wire, Wire]:
     reply = payloads.encode_reply(payloads.Reply(ok=True, t=1, r=result))
     return (
         Wire((body + bytes(16),), frame_codec.cut_frame),
-        Wire(
-            (request, requests.encode_request("status", {}, 1)),
-            requests.decode_request,
-        ),
+        Wire((request, requests.encode_request("status", {}, 1)), requests.decode_request),
         Wire((reply, result), payloads.decode_reply),
     )
 

@@ -37,10 +37,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "tests/cycle/test_states_cases.py",
         "tests/cycle/test_states.py",
     ),
-    "daemon/cycle/watch.py": (
-        "tests/cycle/test_watch.py",
-        "tests/cycle/test_states_transcript.py",
-    ),
+    "daemon/cycle/watch.py": ("tests/cycle/test_watch.py", "tests/cycle/test_states_transcript.py"),
     "daemon/cycle/sensing/sensor_health.py": (
         "tests/cycle/test_sensor_transcript.py",
         "tests/cycle/test_sensor_health.py",
@@ -204,9 +201,7 @@ class Mutant:
         return EQUIVALENT.get(self.file, {}).get((self.statement, self.what))
 
 
-SHORT_CUTS = {
-    "protocol/rsi/telegram_writer.py": frozenset({"_block"}),
-}
+SHORT_CUTS = {"protocol/rsi/telegram_writer.py": frozenset({"_block"})}
 """Functions that only spare work. Taken too often their answer would differ, which a test notices;
 taken too seldom it is the same: a mutant in them that survives is equivalent."""
 
@@ -276,7 +271,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
             "while signal.multiplexer_signal and signal.multiplexer_ids:",
             "signal.multiplexer_signal and signal.multiplexer_ids ->"
             " signal.multiplexer_signal or signal.multiplexer_ids",
-        ): "a signal has both or neither",
+        ): "a signal has both or neither"
     },
     "protocol/rsi/codec.py": {
         (
@@ -297,7 +292,7 @@ EQUIVALENT: dict[str, dict[tuple[str, str], str]] = {
         (
             "width = {222: 2, 223: 4}.get(head, 0)",
             "0 -> 1",
-        ): "only what was read as a map is counted",
+        ): "only what was read as a map is counted"
     }
     | {
         (f"class {name}(Struct, frozen=True, forbid_unknown_fields=True):", "True -> False"): (

@@ -15,11 +15,7 @@ from linemate.daemon.operator import main as operator
 from linemate.daemon.service import main as service
 from linemate.simulators.harness import main as harness
 
-PROGRAMS = {
-    "linemate": operator.main,
-    "linemated": service.main,
-    "linemate-sim": harness.main,
-}
+PROGRAMS = {"linemate": operator.main, "linemated": service.main, "linemate-sim": harness.main}
 Capture = pytest.CaptureFixture[str]
 
 

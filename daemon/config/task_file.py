@@ -190,10 +190,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
 def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
     """Yield a gate that waits for a signal before the order for it."""
     tool = ToolTimes()
-    for gate, order in (
-        (Gate.SCREWS_FIXED, "fix_screws"),
-        (Gate.WHEEL_RELEASED, "release_wheel"),
-    ):
+    for gate, order in ((Gate.SCREWS_FIXED, "fix_screws"), (Gate.WHEEL_RELEASED, "release_wheel")):
         ordered = _at(value, "tool", order)
         ordered = getattr(tool, order) if ordered is None else ordered
         for i, point in enumerate(points):

@@ -341,10 +341,7 @@ def _decay_time(off: Array, limits: FollowLimits) -> float:
     """
     size = np.hypot.reduce(off.reshape(3, 2, 3), axis=2)  # (3, 2) way and turn
     most = np.array(
-        (
-            (limits.speed, limits.turn_speed),
-            (limits.acceleration, limits.turn_acceleration),
-        )
+        ((limits.speed, limits.turn_speed), (limits.acceleration, limits.turn_acceleration))
     )
     allowed = np.maximum(most, 1.001 * size[1:])
     least = np.sqrt(_QUINTIC_ACCELERATION * size[0] / most[1]).max()

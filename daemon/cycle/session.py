@@ -211,11 +211,7 @@ class Session:
         return min(max(missed + 1 - round(passed_s / self._cycle_s), 0), missed)
 
     def prove(
-        self,
-        robot: RobotSample,
-        axes: Axes,
-        programmed: Axes | None,
-        peer: Hashable,
+        self, robot: RobotSample, axes: Axes, programmed: Axes | None, peer: Hashable
     ) -> tuple[Axes, Axes] | None:
         """Find out which correction is in force.
 

@@ -146,9 +146,7 @@ def _spans(moved: UnitMotion) -> list[tuple[FittedRamp, tuple[float, float]]]:
     ]
 
 
-def _classes(
-    fitted: Sequence[tuple[bool, Array, Array]],
-) -> list[list[tuple[bool, Array, Array]]]:
+def _classes(fitted: Sequence[tuple[bool, Array, Array]]) -> list[list[tuple[bool, Array, Array]]]:
     groups: list[list[tuple[bool, Array, Array]]] = []
     for each in sorted(fitted, key=lambda pair: (pair[0], -pair[1][0])):
         last = groups[-1][0] if groups else None

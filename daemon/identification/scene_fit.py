@@ -347,11 +347,7 @@ def _derivatives(
 
 
 def _normal(
-    scene: SceneFit,
-    seen: Sequence[Views],
-    camera: Camera,
-    kept: list[Mask],
-    shared: bool,
+    scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask], shared: bool
 ) -> tuple[Array, Array]:
     """Return the normal matrix and the gradient of the cost."""
     size = _size(scene)

@@ -28,12 +28,7 @@ from scipy.signal import lfilter
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import SwaySettings
-from linemate.daemon.identification.conveyor_ramps import (
-    STEP_S,
-    UnitMotion,
-    find_ramps,
-    motion,
-)
+from linemate.daemon.identification.conveyor_ramps import STEP_S, UnitMotion, find_ramps, motion
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal, ReportLine
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views, swing
 from linemate.daemon.identification.trace import Trace

@@ -147,10 +147,7 @@ def _likeliest_mode(
         return None
     mode = _mode(math.exp(frequency), axis, math.copysign(LONGEST_LEVER, gain))
     return replace(
-        mode,
-        spread=max(spread, CARS[0]),
-        gain=abs(gain),
-        gain_deviation=max(deviation, CARS[1]),
+        mode, spread=max(spread, CARS[0]), gain=abs(gain), gain_deviation=max(deviation, CARS[1])
     )
 
 

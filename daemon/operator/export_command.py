@@ -36,11 +36,7 @@ if TYPE_CHECKING:
     from linemate.daemon.recording.step_codec import StepRecord
 
 # Channels with a table of their own; the viewers' channels repeat what the steps have.
-TABLES = {
-    "/linemate/timing": "timing",
-    "/linemate/parameters": "parameters",
-    "/log": "log",
-}
+TABLES = {"/linemate/timing": "timing", "/linemate/parameters": "parameters", "/log": "log"}
 
 COLUMNS = {
     "timing": (

@@ -37,12 +37,7 @@ NUMBERS: Final = (
     ("recording.recording", "recording", "gauge", "A recording is being written"),
     ("recording.written", "recording_steps_total", "counter", "Steps recorded"),
     ("recording.dropped", "recording_dropped_total", "counter", "Steps not recorded"),
-    (
-        "recording.restarts",
-        "recording_restarts_total",
-        "counter",
-        "Restarts of the recorder",
-    ),
+    ("recording.restarts", "recording_restarts_total", "counter", "Restarts of the recorder"),
     ("commands.sessions", "command_sessions", "gauge", "Sessions of operators over UDP"),
     ("commands.connections", "command_connections", "gauge", "Connections to the local socket"),
 )

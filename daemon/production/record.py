@@ -74,13 +74,7 @@ class PartRecord:
             self._note_estimates(entry.after.tracker, entry.parameters)
 
     def finish(
-        self,
-        stamp_ns: int,
-        *,
-        is_good: bool,
-        reason: str,
-        replies_lost: int,
-        recording: str | None,
+        self, stamp_ns: int, *, is_good: bool, reason: str, replies_lost: int, recording: str | None
     ) -> dict[str, Any]:
         """Return the record as plain values.
 
@@ -189,8 +183,5 @@ def missed(part: AnnouncedPart, at: str, station: str, reason: str) -> dict[str,
 def row(record: Mapping[str, Any]) -> list[Any]:
     """Return a record's row of the CSV file, in the order of ``COLUMNS``."""
     flat = {**record, **record["estimates"]}
-    flat["impact_n"], flat["force_n"] = (
-        record["force"]["impact_n"],
-        record["force"]["largest_n"],
-    )
+    flat["impact_n"], flat["force_n"] = (record["force"]["impact_n"], record["force"]["largest_n"])
     return [flat.get(name) for name in COLUMNS]

@@ -35,11 +35,7 @@ _SCHEMA_OF: Final = {
     TIMING: "linemate.Timing",
     **viewer_messages.TOPICS,
 }
-_TOPIC_OF: Final = {
-    ItemKind.STEP: STEP,
-    ItemKind.STATE: STATE,
-    ItemKind.PARAMETERS: PARAMETERS,
-}
+_TOPIC_OF: Final = {ItemKind.STEP: STEP, ItemKind.STATE: STATE, ItemKind.PARAMETERS: PARAMETERS}
 
 
 def _version() -> str:

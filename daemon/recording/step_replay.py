@@ -25,12 +25,7 @@ from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.recording import snapshot, step_codec
-from linemate.daemon.recording.format import (
-    CellTexts,
-    DamageReport,
-    ParametersInForce,
-    StateBefore,
-)
+from linemate.daemon.recording.format import CellTexts, DamageReport, ParametersInForce, StateBefore
 from linemate.daemon.recording.step_codec import StepRecord
 from linemate.protocol.stamped_samples import RobotSample
 

@@ -285,9 +285,7 @@ def _in_thread(work: Callable[..., T], *arguments: Any) -> asyncio.Future[T]:
 
 
 def _then(
-    work: asyncio.Future[T],
-    done: Callable[[T], Answer],
-    failed: Callable[[BaseException], Answer],
+    work: asyncio.Future[T], done: Callable[[T], Answer], failed: Callable[[BaseException], Answer]
 ) -> asyncio.Future[Answer]:
     """Return a future of the answer that follows from some work."""
     promise: asyncio.Future[Answer] = asyncio.get_running_loop().create_future()

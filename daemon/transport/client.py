@@ -151,10 +151,7 @@ class Client:
         self.close()
 
     def call(
-        self,
-        op: str,
-        params: Mapping[str, Any] | None = None,
-        timeout_s: float = DEFAULT_TIMEOUT_S,
+        self, op: str, params: Mapping[str, Any] | None = None, timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> dict[str, Any]:
         """Ask for one operation and return its result.
 

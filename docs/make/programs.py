@@ -78,7 +78,7 @@ LINEMATED: dict[str, list[str]] = {
 LINEMATE_SIM: dict[str, list[str]] = {
     "DESCRIPTION": [
         "Emulates the station on the real wires, and runs the daemon against it: in real time as"
-        " separate processes, or in virtual time. Needs no hardware and no privileges.",
+        " separate processes, or in virtual time. Needs no hardware and no privileges."
     ],
     "EXIT STATUS": [
         "0\tAssembled within limits; for other commands: done.",

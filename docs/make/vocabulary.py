@@ -124,10 +124,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/json.md": ("astray",),
     "daemon/operator/plc/robotics_values.py": ("astray",),
     "tests/operator/test_robotics_values.py": ("astray",),
-    "docs/parameters.md": (
-        "astray",
-        "wave",
-    ),
+    "docs/parameters.md": ("astray", "wave"),
     "docs/performance.md": ("awake", "slack"),
     "docs/troubleshooting.md": ("awake", "astray"),
     # Parts of a car: doors, wheel house.
@@ -199,7 +196,7 @@ FUNCTIONS = {"take", "put", "look", "tell", "give", "hear", "say", *VARIABLES}
 # File: such names that it has, and why.
 NAMED: dict[str, tuple[str, ...]] = {
     # A configuration key: tracking.sway.found.
-    "daemon/core/tracking/settings.py": ("found",),
+    "daemon/core/tracking/settings.py": ("found",)
 }
 
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry

@@ -12,16 +12,7 @@ from pathlib import Path
 
 import shtab
 
-from docs.make import (
-    manual,
-    notebook,
-    programs,
-    python_reference,
-    reference,
-    results,
-    sbom,
-    states,
-)
+from docs.make import manual, notebook, programs, python_reference, reference, results, sbom, states
 from linemate.daemon.config import config
 from linemate.daemon.config.files import DAEMON_DATA
 

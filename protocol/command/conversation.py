@@ -217,13 +217,7 @@ class Conversation:
 
     def _part(self, page: int, now_ns: int) -> bytes:
         return encode_reply(
-            Reply(
-                ok=True,
-                t=now_ns // NS_PER_MS,
-                r=self._parts[page],
-                i=page,
-                n=len(self._parts),
-            )
+            Reply(ok=True, t=now_ns // NS_PER_MS, r=self._parts[page], i=page, n=len(self._parts))
         )
 
     def _refuse(self, code: str, why: str, now_ns: int) -> bytes:

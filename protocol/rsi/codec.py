@@ -10,11 +10,7 @@ from collections.abc import Iterable, Mapping
 from linemate.protocol.controller_link import PreparedReply
 from linemate.protocol.rsi.ethernet_config import Element, RsiConfig, parse_config
 from linemate.protocol.rsi.telegram import Channel, RobotTelegram, SensorTelegram
-from linemate.protocol.rsi.telegram_layout import (
-    robot_layout,
-    sensor_constants,
-    sensor_layout,
-)
+from linemate.protocol.rsi.telegram_layout import robot_layout, sensor_constants, sensor_layout
 from linemate.protocol.rsi.telegram_reader import MAX_TELEGRAM_BYTES, RobotReader, SensorReader
 from linemate.protocol.rsi.telegram_writer import TelegramWriter
 from linemate.protocol.rsi.xml_scan import RsiError

@@ -58,11 +58,7 @@ Change = Callable[[Parameters], Parameters]
 
 @lru_cache(maxsize=8)
 def parameters(
-    task: TaskFile,
-    urdf: str,
-    tracking: TrackingSettings,
-    control: ControlSettings,
-    cycle_s: float,
+    task: TaskFile, urdf: str, tracking: TrackingSettings, control: ControlSettings, cycle_s: float
 ) -> Parameters:
     """The daemon's parameters, compiled once for all the seeds of a process.
 

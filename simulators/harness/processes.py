@@ -107,10 +107,7 @@ class Child:
         with suppress(OSError):
             os.setpriority(os.PRIO_PGRP, self.pid, LEAST_URGENT)
         # The kernel shares time out by session first (autogroup), where no niceness has an effect.
-        with (
-            suppress(OSError),
-            Path(f"/proc/{self.pid}/autogroup").open("wb", buffering=0) as file,
-        ):
+        with suppress(OSError), Path(f"/proc/{self.pid}/autogroup").open("wb", buffering=0) as file:
             file.write(b"%d" % LEAST_URGENT)
 
     def signal_group(self, number: int) -> None:
@@ -135,11 +132,7 @@ class Children:
         return iter(self._children)
 
     def start(
-        self,
-        name: str,
-        command: Sequence[str],
-        log: Path,
-        keep: Sequence[int] = (),
+        self, name: str, command: Sequence[str], log: Path, keep: Sequence[int] = ()
     ) -> Child:
         """Start a process in a group of its own.
 

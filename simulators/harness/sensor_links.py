@@ -21,11 +21,7 @@ from linemate.protocol.errors import ProtocolError
 from linemate.protocol.sensors.camera_codec import CameraDecoder
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder
 from linemate.protocol.sensors.wrench import make_decoder, make_host
-from linemate.simulators.devices.emulated_world import (
-    CameraReading,
-    EmulatedWorld,
-    WrenchReading,
-)
+from linemate.simulators.devices.emulated_world import CameraReading, EmulatedWorld, WrenchReading
 from linemate.simulators.devices.faults import GARBAGE_BYTES, Faults
 from linemate.simulators.devices.faulty_link import FaultyLink
 from linemate.simulators.devices.sensing.camera_sender import CameraSender

@@ -96,10 +96,7 @@ def identified(plan: IdentificationPlan, folder: Path) -> Identified:
 def record(setup: Setup, seed: int, path: Path) -> Path:
     """Leave the recording of one run in virtual time; return where."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    config = {
-        "tracking": _plain(setup.tracking),
-        "control": _plain(setup.control),
-    }
+    config = {"tracking": _plain(setup.tracking), "control": _plain(setup.control)}
     texts = {
         "config": yaml.safe_dump(config),
         "task": exercise.text(setup.task),

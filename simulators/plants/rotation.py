@@ -157,12 +157,7 @@ def matrix(pose: Pose) -> NDArray[np.float64]:
     """The 4x4 homogeneous matrix of a pose."""
     (x, y, z), r = pose
     return np.array(
-        (
-            (r[0], r[1], r[2], x),
-            (r[3], r[4], r[5], y),
-            (r[6], r[7], r[8], z),
-            (0.0, 0.0, 0.0, 1.0),
-        )
+        ((r[0], r[1], r[2], x), (r[3], r[4], r[5], y), (r[6], r[7], r[8], z), (0.0, 0.0, 0.0, 1.0))
     )
 
 

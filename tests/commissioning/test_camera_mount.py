@@ -30,10 +30,7 @@ def postures(count: int, turns: Array, seed: int = 1, noise: float = 1.0) -> lis
         z = (R @ mount).T @ (Y[:3] - p - R @ X[:3])
         e = noise * rng.standard_normal(6) / np.sqrt(IMAGES)
         view = SeenObject(
-            z + SIGMA[0] * e[:3],
-            Z @ rotations.exp(SIGMA[1] * e[3:]),
-            np.repeat(SIGMA, 3),
-            IMAGES,
+            z + SIGMA[0] * e[:3], Z @ rotations.exp(SIGMA[1] * e[3:]), np.repeat(SIGMA, 3), IMAGES
         )
         made.append(StandingPosture(0.0, 1.0, np.full(7, float(i)), p, R, view, None, None))
     return made

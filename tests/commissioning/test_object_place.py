@@ -45,8 +45,7 @@ def test_one_object_or_one_seen_twice_says_nothing_of_the_next() -> None:
 
 
 @pytest.mark.parametrize(
-    ("shift", "turn"),
-    [((0.25, 0.0, 0.25), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.25))],
+    ("shift", "turn"), [((0.25, 0.0, 0.25), (0.0, 0.0, 0.0)), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.25))]
 )
 def test_objects_that_hang_elsewhere_are_refused(
     shift: tuple[float, float, float], turn: tuple[float, float, float]

@@ -162,10 +162,7 @@ def test_a_refused_chunk_in_a_step_changes_nothing(stood: World) -> None:
 
 @settings(max_examples=25)
 @example(delays=[0.0, 0.0, 0.0, 0.375, 0.0], lead=0.5)
-@given(
-    delays=st.lists(st.floats(0.0, 0.8), min_size=5, max_size=5),
-    lead=st.floats(-0.3, 0.6),
-)
+@given(delays=st.lists(st.floats(0.0, 0.8), min_size=5, max_size=5), lead=st.floats(-0.3, 0.6))
 def test_any_delay_up_to_800_ms_keeps_the_curve_smooth(delays: list[float], lead: float) -> None:
     state = followed_poses.begin(np.zeros(6))
     nominal, commit = np.eye(3), P.tracker.commit

@@ -216,9 +216,7 @@ def test_a_gap_in_motion_is_taken_up_from_where_the_robot_holds(station: Station
     assert first.max() > 0.0
 
 
-def test_a_reply_that_the_controller_did_not_take_is_noticed_by_its_delay(
-    station: Station,
-) -> None:
+def test_a_reply_that_the_controller_did_not_take_is_noticed_by_its_delay(station: Station) -> None:
     station.track(60)
     held = np.array(station.axes)
     station.exchange(lost=True)

@@ -210,9 +210,7 @@ def test_i8_trouble_ends_tracking_at_once_and_any_motion_when_time_is_up(edges: 
             assert never(causes, lambda s: s.clear or s.expired)
 
 
-def test_i14_a_closed_clamp_is_followed_as_long_as_something_shows_the_object(
-    edges: Edges,
-) -> None:
+def test_i14_a_closed_clamp_is_followed_as_long_as_something_shows_the_object(edges: Edges) -> None:
     for (before, after), causes in edges.items():
         if before.state in {State.CONTACT, State.RETREAT} and after.state is not State.RETREAT:
             assert always(causes, lambda s: is_lost(s) or not s.overdue or s.expired or s.clear)

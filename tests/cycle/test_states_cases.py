@@ -160,11 +160,7 @@ def test_a_fault_is_acknowledged_once_its_reason_is_gone(
             replace(GOOD, overload=True),
             Machine(State.RETREAT),
         ),
-        (
-            Machine(State.RETREAT, programmed=True),
-            GOOD,
-            Machine(State.RETREAT, programmed=True),
-        ),
+        (Machine(State.RETREAT, programmed=True), GOOD, Machine(State.RETREAT, programmed=True)),
         (Machine(State.RETREAT), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
         (Machine(State.HOLD), replace(GOOD, expired=True), Machine(State.FAULT, latched=True)),
         (

@@ -31,12 +31,7 @@ def _hold(data: bytes, stamp_ns: int, address: tuple[str, int], **_: object) -> 
     except RsiError:
         return None
     return CODEC.format_sensor(
-        SensorTelegram(
-            telegram.ipoc,
-            telegram.ipoc_text,
-            joints=(0.0,) * 6,
-            external=(0.0,),
-        )
+        SensorTelegram(telegram.ipoc, telegram.ipoc_text, joints=(0.0,) * 6, external=(0.0,))
     )
 
 
@@ -194,9 +189,7 @@ def test_without_answers_the_controller_breaks_off_and_sends_no_more(tmp_path: P
         station.open()
         config = station.config()
         config = replace(
-            config,
-            robot_target=("127.0.0.1", 9),
-            controller=replace(config.controller, timeout=5),
+            config, robot_target=("127.0.0.1", 9), controller=replace(config.controller, timeout=5)
         )
         result = await Emulator(config).run()
         await station.close()

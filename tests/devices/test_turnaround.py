@@ -23,9 +23,7 @@ def test_before_the_first_reply_there_is_nothing_to_tell() -> None:
     assert times.summary_us() is None
 
 
-def test_memory_is_bounded_and_the_longest_is_kept(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_memory_is_bounded_and_the_longest_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(turnaround, "KEEP", 5)
     times = TurnAround()
     for value in (1, 2, 3, 4, 5, 9000):

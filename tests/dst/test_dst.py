@@ -214,11 +214,7 @@ def test_a_clock_that_races_is_a_violation(ahead: int, is_blamed: bool) -> None:
 
 
 @pytest.mark.parametrize(
-    ("end_s", "state"),
-    [
-        (0.15, "hold stopped"),
-        (0.95, "retreat stopped in contact"),
-    ],
+    ("end_s", "state"), [(0.15, "hold stopped"), (0.95, "retreat stopped in contact")]
 )
 def test_an_end_in_motion_holds_far_from_the_object_and_retreats_near_it(
     end_s: float, state: str

@@ -15,11 +15,7 @@ PLANS: dict[str, FaultPlan] = {
     "coasting-3-s": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "wrench-never-stale": FaultPlan(4, faults=(Fault(HELD_S, "force_torque", "silence", 0.5),)),
     "position-never-stale": FaultPlan(
-        4,
-        faults=(
-            Fault(0.5, "camera", "silence", 0.6),
-            Fault(0.5, "distance", "silence", 0.6),
-        ),
+        4, faults=(Fault(0.5, "camera", "silence", 0.6), Fault(0.5, "distance", "silence", 0.6))
     ),
     "overload-never": FaultPlan(4, faults=(Fault(0.5, "force_torque", "offset", 0.5, 600.0, 1),)),
     "clamp-never-opens": FaultPlan(

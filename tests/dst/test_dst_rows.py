@@ -181,13 +181,7 @@ def test_x13_a_distance_that_is_off_late_or_frozen_leads_into_no_collision(
 
 @pytest.mark.parametrize(
     ("kind", "value"),
-    [
-        ("offset", 20.0),
-        ("scale", -1.0),
-        ("flip", 0.3),
-        ("stuck", 0.0),
-        ("clock_frozen", 0.0),
-    ],
+    [("offset", 20.0), ("scale", -1.0), ("flip", 0.3), ("stuck", 0.0), ("clock_frozen", 0.0)],
 )
 def test_x14_a_wrench_that_is_wrong_costs_no_mount(kind: str, value: float) -> None:
     lived(Fault(TOUCH_S, "force_torque", kind, 0.6, value, 1), duration_s=2.6)

@@ -127,13 +127,7 @@ def test_late_replies_end_with_1_beyond_what_the_controller_tolerates_or_strictl
 
 def test_results_report_figures_and_recording_are_left(ended: Ended) -> None:
     names = {path.name for path in ended.out.iterdir()}
-    assert names == {
-        "result.json",
-        "report.html",
-        "fig4.png",
-        "fig5.png",
-        "short-seed5-12ms.mcap",
-    }
+    assert names == {"result.json", "report.html", "fig4.png", "fig5.png", "short-seed5-12ms.mcap"}
 
 
 def test_the_controller_counted_every_telegram(ended: Ended) -> None:

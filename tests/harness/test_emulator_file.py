@@ -87,11 +87,7 @@ def test_an_exchange_that_broke_off_ends_with_1_and_its_reason(tmp_path: Path) -
     path.write_text("scenario: short.yaml\ncontroller: {timeout: 20}\n")
     command = [sys.executable, "-m", "linemate.simulators.harness.main", "emulator"]
     done = subprocess.run(
-        [*command, "--config", str(path)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=60.0,
+        [*command, "--config", str(path)], check=False, capture_output=True, text=True, timeout=60.0
     )
     assert json.loads(done.stdout.splitlines()[-1])["broken"].startswith("KSS29002")
     assert done.returncode == 1

@@ -11,11 +11,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control.settings import AxisWindup
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.settings import CameraNoise
-from linemate.daemon.identification.arm_windup import (
-    ArmWindup,
-    bent_trace,
-    identify_arm_windup,
-)
+from linemate.daemon.identification.arm_windup import ArmWindup, bent_trace, identify_arm_windup
 from linemate.daemon.identification.outcome import Estimate, Refusal
 from linemate.daemon.identification.scene_fit import Views, views
 from linemate.daemon.identification.swing import find_swings

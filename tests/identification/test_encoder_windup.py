@@ -88,8 +88,7 @@ def test_hysteresis_follows_the_way_and_not_the_samples() -> None:
 
 
 @pytest.mark.parametrize(
-    ("motor", "reason"),
-    [(1e-3 * np.sin(TIMES), "mrad"), (0.1 * TIMES, "reversals")],
+    ("motor", "reason"), [(1e-3 * np.sin(TIMES), "mrad"), (0.1 * TIMES, "reversals")]
 )
 def test_an_axis_that_hardly_moves_is_refused(motor: np.ndarray, reason: str) -> None:
     result = identify_windup([AxisRecord(motor, motor, 0.0 * motor, 0.004)])

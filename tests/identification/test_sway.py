@@ -8,11 +8,7 @@ from traces import CAMERA
 
 from linemate.daemon.identification import sway
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.sway import (
-    SwayResult,
-    findings,
-    identify_sway,
-)
+from linemate.daemon.identification.sway import SwayResult, findings, identify_sway
 from linemate.daemon.identification.swing import find_swings
 from linemate.daemon.identification.trace import Images, Trace
 

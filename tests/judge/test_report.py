@@ -182,9 +182,7 @@ def test_a_known_deviation_is_found_again() -> None:
     assert zero_turn == pytest.approx(0.0, abs=1e-12)
 
 
-def test_figure_five_draws_the_error_of_the_true_tcp_against_the_committed_pose(
-    rows: Rows,
-) -> None:
+def test_figure_five_draws_the_error_of_the_true_tcp_against_the_committed_pose(rows: Rows) -> None:
     axes = figures.control_error(rows, RESULT).axes[0]
     drawn = [line.get_ydata() for line in axes.get_lines() if len(line.get_xdata()) == len(rows)]
     norm = np.linalg.norm(np.stack([np.asarray(y) for y in drawn]), axis=0)

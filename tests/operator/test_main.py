@@ -114,12 +114,7 @@ def test_status_exits_by_health(daemon: Daemon, capsys: Out, health: str, code: 
 def test_status_prints_json_that_every_parser_reads(capsys: Out) -> None:
     assert main(["status", "--json"]) == 0
     read = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-    assert read == {
-        "version": 1,
-        "health": "healthy",
-        "state": "idle",
-        "age": {"camera_s": None},
-    }
+    assert read == {"version": 1, "health": "healthy", "state": "idle", "age": {"camera_s": None}}
 
 
 def test_status_without_a_daemon_exits_3(capsys: Out, tmp_path: Path) -> None:

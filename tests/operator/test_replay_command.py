@@ -145,9 +145,7 @@ def test_steps_that_were_dropped_are_bridged_by_a_state(tmp_path: Path) -> None:
     assert all(not v.changes and v.failure is None for v in replayed)
 
 
-def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(
-    tmp_path: Path,
-) -> None:
+def test_other_parameters_in_the_middle_are_replayed_from_their_own_step_on(tmp_path: Path) -> None:
     def swapped() -> Iterator[LogEntry]:
         world = World(parameters())
         yield from entries(world, 40)

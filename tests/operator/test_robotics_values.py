@@ -20,8 +20,7 @@ def test_a_daemon_that_does_not_answer_is_not_on_its_path() -> None:
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{"state": "fault"}, {"latched": True}, {"astray": "A1"}, {"link": "lost"}],
+    "changes", [{"state": "fault"}, {"latched": True}, {"astray": "A1"}, {"link": "lost"}]
 )
 def test_a_fault_an_axis_astray_and_a_lost_link_are_off_the_path(changes: dict[str, Any]) -> None:
     assert robotics_values(STATUS).on_path

@@ -64,9 +64,7 @@ def test_a_part_is_removed_by_its_name() -> None:
 
 
 @given(st.lists(st.tuples(st.integers(0, 400), st.booleans()), max_size=600))
-def test_the_queue_stays_bounded_and_sorted_whatever_comes(
-    orders: list[tuple[int, bool]],
-) -> None:
+def test_the_queue_stays_bounded_and_sorted_whatever_comes(orders: list[tuple[int, bool]]) -> None:
     queue = ObjectQueue({"sedan"})
     for number, takes in orders:
         if takes and len(queue):

@@ -9,14 +9,7 @@ from msgspec.structs import replace
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.production.object_queue import AnnouncedPart
-from linemate.daemon.production.record import (
-    COLUMNS,
-    COURSE,
-    MOST_EVENTS,
-    PartRecord,
-    missed,
-    row,
-)
+from linemate.daemon.production.record import COLUMNS, COURSE, MOST_EVENTS, PartRecord, missed, row
 
 PART = AnnouncedPart("P1", "sedan", 0.0)
 

@@ -3,15 +3,7 @@
 import random
 
 import pytest
-from command_ends import (
-    MS,
-    START_NS,
-    S,
-    Secrets,
-    World,
-    client_address,
-    key_of,
-)
+from command_ends import MS, START_NS, S, Secrets, World, client_address, key_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

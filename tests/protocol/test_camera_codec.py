@@ -464,9 +464,7 @@ def test_whatever_comes_is_given_out_or_counted_and_never_dated_wrongly(
 
 
 @given(st.lists(st.tuples(st.integers(0, 3 * S), st.integers(-S, S)), min_size=1, max_size=60))
-def test_the_offset_is_the_minimum_of_the_window_to_one_slice(
-    steps: list[tuple[int, int]],
-) -> None:
+def test_the_offset_is_the_minimum_of_the_window_to_one_slice(steps: list[tuple[int, int]]) -> None:
     window_ns = 16 * S
     clock, now_ns, seen = ClockOffset(16.0), 0, []
     for wait_ns, transit_ns in steps:

@@ -148,11 +148,7 @@ def test_the_encoder_refuses_what_the_frame_cannot_carry() -> None:
             encoder.encode(position, strength)
 
 
-@given(
-    st.sampled_from(SHIPPED),
-    st.floats(0.0, 22.0),
-    st.integers(0, 65535),
-)
+@given(st.sampled_from(SHIPPED), st.floats(0.0, 22.0), st.integers(0, 65535))
 def test_a_distance_survives_the_wire_to_half_a_count(
     names: tuple[str, str], position: float, strength: int
 ) -> None:

@@ -17,12 +17,7 @@ from linemate.protocol.rsi.telegram_layout import robot_layout
 from linemate.protocol.rsi.xml_scan import scan
 from linemate.protocol.sensors import slcan
 from linemate.protocol.sensors.distance import DistanceDecoder, DistanceEncoder, DistanceError
-from linemate.protocol.sensors.ft300 import (
-    Ft300Device,
-    Ft300Host,
-    Robotiq300Decoder,
-    ft300_frame,
-)
+from linemate.protocol.sensors.ft300 import Ft300Device, Ft300Host, Robotiq300Decoder, ft300_frame
 from linemate.protocol.sensors.slcan import CanFrame, CommandDecoder, LineDecoder, SlcanError
 from linemate.protocol.units import DEG
 

@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linemate.protocol.exchange import (
-    Exchange,
-    TelegramKind,
-)
-from linemate.protocol.exchange_controller import (
-    ControllerExchange,
-    Judgement,
-)
+from linemate.protocol.exchange import Exchange, TelegramKind
+from linemate.protocol.exchange_controller import ControllerExchange, Judgement
 from linemate.protocol.rsi.codec import (
     RobotTelegram,
     RsiCodec,

@@ -35,12 +35,7 @@ from linemate.protocol.command.payloads import (
     encode_result,
 )
 from linemate.protocol.command.preshared_keys import cookie, hello_tagger, make_key, session_keys
-from linemate.protocol.command.requests import (
-    OPERATIONS,
-    Empty,
-    decode_request,
-    encode_request,
-)
+from linemate.protocol.command.requests import OPERATIONS, Empty, decode_request, encode_request
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "command-protocol.md"
 
@@ -421,7 +416,7 @@ def test_every_operation_of_the_interface_is_there() -> None:
         *("announce", "skip", "next", "hold", "follow"),
     }
     assert {op for op, rule in OPERATIONS.items() if rule.lease} == {
-        *("arm", "start", "ack", "home", "next", "follow"),
+        *("arm", "start", "ack", "home", "next", "follow")
     }
 
 

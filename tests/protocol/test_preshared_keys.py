@@ -25,10 +25,7 @@ OTHER = base64.b64encode(secret_of(2)).decode()
 
 def test_a_file_of_keys_is_read_with_comments_and_blank_lines() -> None:
     keys = parse_keys(f"# who may\n\nalice operate {GOOD}\r\n  bob\tview {OTHER}\n")
-    assert [(key.name, key.role) for key in keys] == [
-        ("alice", Role.OPERATE),
-        ("bob", Role.VIEW),
-    ]
+    assert [(key.name, key.role) for key in keys] == [("alice", Role.OPERATE), ("bob", Role.VIEW)]
     assert keys[0].secret == secret_of(1)
     assert keys[0].id != keys[1].id
     assert all(1 <= key.id <= 65535 for key in keys)

@@ -142,8 +142,7 @@ def test_a_line_without_end_is_bounded_refused_and_followed_by_the_next() -> Non
 
 
 @given(
-    st.lists(st.one_of(frames().map(format_frame), st.binary(max_size=45)), max_size=6),
-    st.data(),
+    st.lists(st.one_of(frames().map(format_frame), st.binary(max_size=45)), max_size=6), st.data()
 )
 @example([b"\n" * 50 + b"O\r"], None)
 def test_a_stream_cut_anywhere_gives_the_same_commands(

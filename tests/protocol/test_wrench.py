@@ -89,10 +89,7 @@ def test_a_bota_wrench_survives_the_wire(
     ]
 
 
-@given(
-    st.tuples(*[st.integers(-32768, 32767)] * 3),
-    st.tuples(*[st.integers(-32768, 32767)] * 3),
-)
+@given(st.tuples(*[st.integers(-32768, 32767)] * 3), st.tuples(*[st.integers(-32768, 32767)] * 3))
 def test_an_ft300_wrench_survives_the_wire_count_for_count(
     force: tuple[int, int, int], torque: tuple[int, int, int]
 ) -> None:

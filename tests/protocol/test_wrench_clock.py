@@ -50,9 +50,7 @@ def test_a_clock_that_stands_is_not_believed_for_long() -> None:
 
 
 @pytest.mark.parametrize("back_us", [10_000, 15_000, 25_000, 45_000])
-def test_a_clock_that_was_set_back_a_little_is_dated_by_arrival_before_long(
-    back_us: int,
-) -> None:
+def test_a_clock_that_was_set_back_a_little_is_dated_by_arrival_before_long(back_us: int) -> None:
     clock = WrenchClock()
     off = []
     for k in range(200):

@@ -93,9 +93,7 @@ def test_joints_and_poses_are_those_of_the_step(
     pose = found["/pose/target"][0][1]["pose"]
     w, x, y, z = (pose["orientation"][part] for part in "wxyz")
     assert np.allclose(
-        rotations.matrix((w, x, y, z)),
-        rotations.matrix(first.outputs.target[3:]),
-        atol=1e-5,
+        rotations.matrix((w, x, y, z)), rotations.matrix(first.outputs.target[3:]), atol=1e-5
     )
     transforms = found["/tf"][0][1]["transforms"]
     assert {t["child_frame_id"] for t in transforms} == {"rail", "tcp"}

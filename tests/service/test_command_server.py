@@ -209,10 +209,7 @@ def test_any_message_on_the_local_socket_leaves_the_daemon_whole(tmp_path: Path)
 
 def test_a_long_answer_comes_whole_on_the_local_socket(tmp_path: Path) -> None:
     result = {"params": [{"name": f"p{i}", "value": float(i)} for i in range(1500)]}
-    with (
-        open_port(tmp_path, handle=lambda *_: result) as port,
-        connected(port) as (end, core),
-    ):
+    with open_port(tmp_path, handle=lambda *_: result) as port, connected(port) as (end, core):
         assert ask(port, end, core, "params").result == result
 
 

@@ -178,10 +178,7 @@ MAPS = """\
 
 
 def test_only_whole_huge_pages_of_objects_are_moved() -> None:
-    assert heaps(MAPS) == [
-        (0x7F0000000000, 0x7F0000400000),
-        (0x7F0000600000, 0x7F0000A00000),
-    ]
+    assert heaps(MAPS) == [(0x7F0000000000, 0x7F0000400000), (0x7F0000600000, 0x7F0000A00000)]
 
 
 def test_a_kernel_that_moves_nothing_is_no_error() -> None:

@@ -38,10 +38,7 @@ REST_DEG = (0.0, -90.0, 90.0, 0.0, 0.0, 0.0)
 
 def controller(version: int, **options: Any) -> Any:
     """Return the package's controller, which never tolerates a violation."""
-    from airo_fanuc.testing import (  # type: ignore[import-untyped]
-        FakeCRXConfig,
-        FakeCRXController,
-    )
+    from airo_fanuc.testing import FakeCRXConfig, FakeCRXController  # type: ignore[import-untyped]
 
     return FakeCRXController(FakeCRXConfig(available_version=version), **options)
 

@@ -53,10 +53,7 @@ def commission(site: Path, step: str, *words: object) -> int:
 
 
 def guided(
-    scenario: Scenario,
-    postures: list[Seven],
-    signs: Seven | None = None,
-    move_s: float = MOVE_S,
+    scenario: Scenario, postures: list[Seven], signs: Seven | None = None, move_s: float = MOVE_S
 ) -> tuple[Setup, list[Inputs]]:
     programme = PostureProgramme(postures, 0.5, move_s, DWELL_S)
     plan = CommissioningRun(programme) if signs is None else CommissioningRun(programme, signs)

@@ -35,10 +35,7 @@ WRONG_SENSOR = (
     "scenario.force_torque.sign=-1",
     f"scenario.effector.load.tool_mass={MASS}",
 )
-ELSEWHERE = (
-    "scenario.body.offset=[0.05, 0.0, -0.04]",
-    "scenario.body.rotation=[0.0, 0.03, 0.0]",
-)
+ELSEWHERE = ("scenario.body.offset=[0.05, 0.0, -0.04]", "scenario.body.rotation=[0.0, 0.03, 0.0]")
 ASKEW = ("scenario.conveyor.effects.askew=[0.01, 0.0]",)
 
 

@@ -123,10 +123,7 @@ def test_no_number_of_a_wrench_reaches_a_step_if_it_is_none(wild: float) -> None
 
 @pytest.mark.parametrize("data", [b"\xff" * 8, b"\x7f" * 8, b"\x80" + b"\0" * 7, b"\0" * 8])
 def test_no_bytes_of_a_distance_are_anything_but_a_distance_or_refused(data: bytes) -> None:
-    for message, signal, can_id in (
-        ("CIA406_TPDO1", "Position", None),
-        ("TF03", "Distance", None),
-    ):
+    for message, signal, can_id in (("CIA406_TPDO1", "Position", None), ("TF03", "Distance", None)):
         decoder = DistanceDecoder(message=message, signal=signal, can_id=can_id)
         for length in range(9):
             try:

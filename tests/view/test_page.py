@@ -56,10 +56,7 @@ def colours(png: bytes) -> int:
 
 
 def test_a_daemon_is_shown_as_it_goes(chromium: Browser, tmp_path: Path) -> None:
-    with (
-        rerun(tmp_path, Rerun(2.0)),
-        shown(chromium, "--socket", tmp_path / SOCKET) as address,
-    ):
+    with rerun(tmp_path, Rerun(2.0)), shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
         chromium.until(f"Number({ROOT}.frames) > 5 && {ROOT}.tcp")
         assert chromium.value(TEXT.format("health-name")) == "✓ healthy"
@@ -118,10 +115,7 @@ def test_a_fault_is_shown_by_more_than_its_colour(chromium: Browser, tmp_path: P
     rerunning = Rerun(0.0, 4.0)
     rerunning.status |= {"health": "degraded", "complaints": ["link camera is down: gone"]}
     rerunning.status["links"] = {"camera": {**rerunning.status["links"]["camera"], "up": False}}
-    with (
-        rerun(tmp_path, rerunning),
-        shown(chromium, "--socket", tmp_path / SOCKET) as address,
-    ):
+    with rerun(tmp_path, rerunning), shown(chromium, "--socket", tmp_path / SOCKET) as address:
         chromium.open(address)
         chromium.until(f"{TEXT.format('health-name')} === '▲ degraded'")
         chromium.until(f"{TEXT.format('health-note')} === 'link camera is down: gone'")

@@ -7,9 +7,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import merge
-from linemate.daemon.core.tracking.conveyor import (
-    ConveyorEstimate,
-)
+from linemate.daemon.core.tracking.conveyor import ConveyorEstimate
 from linemate.daemon.core.tracking.go_no_go import clock_ramp
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder

@@ -11,25 +11,14 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, linear_axis, merge
-from linemate.daemon.core.tracking.conveyor import (
-    ConveyorEstimate,
-    Motion,
-)
+from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.damping import horizon_shares
-from linemate.daemon.core.tracking.estimation import (
-    comply,
-    estimate,
-    felt_part,
-    is_seated,
-    sagging,
-)
+from linemate.daemon.core.tracking.estimation import comply, estimate, felt_part, is_seated, sagging
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING
 from linemate.daemon.core.tracking.go_no_go.decision import GO
 from linemate.daemon.core.tracking.go_no_go.evidence import decide, is_certain, note
-from linemate.daemon.core.tracking.observation import (
-    Wrench,
-)
+from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.task_clock import (
     LARGEST_BEND,
@@ -588,11 +577,7 @@ def _predict_object(
 
 
 def _added_way(
-    tracker: Tracker,
-    state: TrackerState,
-    view: ConveyorEstimate | None,
-    along: Array,
-    times: Array,
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, along: Array, times: Array
 ) -> Array:
     """Return what a change of speed adds to the conveyor's way (m,) [m].
 

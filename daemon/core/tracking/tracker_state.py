@@ -9,10 +9,7 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis
-from linemate.daemon.core.tracking.conveyor import (
-    Classifier,
-    Motion,
-)
+from linemate.daemon.core.tracking.conveyor import Classifier, Motion
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING, ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
 from linemate.daemon.core.tracking.go_no_go.prediction_error import (
@@ -21,10 +18,7 @@ from linemate.daemon.core.tracking.go_no_go.prediction_error import (
 )
 from linemate.daemon.core.tracking.go_no_go.target_shift import NO_SHIFT, TargetShift
 from linemate.daemon.core.tracking.merge import MergePlan
-from linemate.daemon.core.tracking.observation import (
-    History,
-    PoseMeasurement,
-)
+from linemate.daemon.core.tracking.observation import History, PoseMeasurement
 from linemate.daemon.core.tracking.reference import Reference, ReferenceTable
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import Gate, Phase, TaskFile

@@ -126,12 +126,7 @@ class Health(Generic[Sample]):
     def status(self, now_ns: int) -> dict[str, Any]:
         """Return which state it is in, why and for how long [s]."""
         since_s = None if self.since_ns is None else round((now_ns - self.since_ns) * 1e-9, 3)
-        return {
-            "out": self.reason,
-            "since_s": since_s,
-            "refused": self.refused,
-            "outs": self.outs,
-        }
+        return {"out": self.reason, "since_s": since_s, "refused": self.refused, "outs": self.outs}
 
 
 Trusted = tuple[int, float]

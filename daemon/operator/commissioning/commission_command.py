@@ -9,14 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from linemate.daemon.command_line import (
-    DISTRIBUTION,
-    NO,
-    OK,
-    NegativeError,
-    UsageError,
-    one_thread,
-)
+from linemate.daemon.command_line import DISTRIBUTION, NO, OK, NegativeError, UsageError, one_thread
 from linemate.daemon.operator import console, render
 from linemate.protocol.stamped_samples import Vector3
 

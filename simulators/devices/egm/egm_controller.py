@@ -104,10 +104,7 @@ class EgmController:
     """
 
     def __init__(
-        self,
-        read: Callable[[], RobotReading],
-        setpoints: Seven,
-        config: EgmConfig | None = None,
+        self, read: Callable[[], RobotReading], setpoints: Seven, config: EgmConfig | None = None
     ) -> None:
         """Begin before the first cycle.
 

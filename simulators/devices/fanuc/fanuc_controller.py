@@ -111,10 +111,7 @@ class FanucController:
     """
 
     def __init__(
-        self,
-        read: Callable[[], RobotReading],
-        setpoints: Seven,
-        config: FanucConfig | None = None,
+        self, read: Callable[[], RobotReading], setpoints: Seven, config: FanucConfig | None = None
     ) -> None:
         """Begin before the first packet.
 

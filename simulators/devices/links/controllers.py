@@ -95,9 +95,6 @@ def build_controller(
     rsi = parse_config(config.rsi_xml.read_bytes())
     own = config.controller
     controller = RsiController(
-        rsi,
-        plant.read,
-        plant.start,
-        replace(own, cycle_s=cycle_s, patient=own.patient or waits),
+        rsi, plant.read, plant.start, replace(own, cycle_s=cycle_s, patient=own.patient or waits)
     )
     return controller, config.robot_target or (rsi.ip, rsi.port)

@@ -54,14 +54,7 @@ _QUIET = 0.6
 SWITCH_S = 0.0005
 """So long may the thread that writes states keep the loop from the interpreter [s]."""
 
-__all__ = [
-    "SHIPPED_RSI",
-    "Emulator",
-    "EmulatorConfig",
-    "EmulatorResult",
-    "OnState",
-    "serve",
-]
+__all__ = ["SHIPPED_RSI", "Emulator", "EmulatorConfig", "EmulatorResult", "OnState", "serve"]
 
 OnState = Callable[[dict[str, Any]], None]
 
@@ -247,10 +240,7 @@ class Emulator:
             "pid": os.getpid(),
             "robot": {"source": self.link.address, "target": self._robot_target},
             "camera": {"target": self.config.camera_target},
-            "can": {
-                "interface": "slcan",
-                "channel": _address_of(self.can.port),
-            },
+            "can": {"interface": "slcan", "channel": _address_of(self.can.port)},
             "force_torque": {
                 "url": _address_of(self.force_torque.port),
                 "device": self.config.force_torque_device,

@@ -17,11 +17,7 @@ import numpy as np
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.parameters import Parameters, with_classifier
-from linemate.daemon.core.tracking.conveyor import (
-    Classifier,
-    ConveyorEstimate,
-    PositionMeasurement,
-)
+from linemate.daemon.core.tracking.conveyor import Classifier, ConveyorEstimate, PositionMeasurement
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
 from linemate.simulators.harness.cell.plugin_names import CLASSIFIERS, PREDICTORS

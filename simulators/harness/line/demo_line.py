@@ -153,9 +153,7 @@ def _run(
         station.write("scenario", scenario_file.to_plain(station.scenario))
         file = station.write("emulator", emulated_file)
         child = children.start(
-            "emulator",
-            sim_command("emulator", "--config", str(file)),
-            folder / "emulator.log",
+            "emulator", sim_command("emulator", "--config", str(file)), folder / "emulator.log"
         )
         with closing(Emulated(child)) as emulated:
             wait_until(lambda: _is_ready(emulated), children, START_S, "the emulator's links")
@@ -206,10 +204,7 @@ def _on_car(event: Mapping[str, Any], client: Client | None, log: LineLog) -> No
 
 
 def _judged(
-    cars: tuple[Car, ...],
-    log: LineLog,
-    records: list[dict[str, Any]],
-    telegrams: dict[str, int],
+    cars: tuple[Car, ...], log: LineLog, records: list[dict[str, Any]], telegrams: dict[str, int]
 ) -> dict[str, Any]:
     """Return what became of the cars as plain values."""
     by_part = {record["part"]: record for record in records}

@@ -102,11 +102,7 @@ def _parser() -> argparse.ArgumentParser:
         choices=get_args(CycleMs),
         help="of the controller (12; fanuc 8, egm 4)",
     )
-    parser.add_argument(
-        "--cell",
-        choices=ASKED_CELLS,
-        help="another cell or family of controllers",
-    )
+    parser.add_argument("--cell", choices=ASKED_CELLS, help="another cell or family of controllers")
     parser.add_argument(
         "--every", action="store_true", help="one campaign after the other, of each cycle and cell"
     )

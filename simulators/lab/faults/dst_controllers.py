@@ -38,11 +38,7 @@ def family(cell: str) -> ControllerKind:
 
 
 def build(
-    plan: FaultPlan,
-    read: Callable[[], RobotReading],
-    pose: Vector7,
-    *,
-    first: int | None = None,
+    plan: FaultPlan, read: Callable[[], RobotReading], pose: Vector7, *, first: int | None = None
 ) -> Controller:
     """Return the controller of a plan's cell before its first cycle.
 

@@ -240,10 +240,7 @@ def invariants(before: Machine, s: Signals, after: Machine) -> tuple[tuple[str, 
             or not entered
             or (a in {State.ARMED, State.HOLD} and s.start and fit),
         ),
-        (
-            "I4",
-            a is not State.CONTACT or not entered or s.link is Link.LOST or b is State.RETREAT,
-        ),
+        ("I4", a is not State.CONTACT or not entered or s.link is Link.LOST or b is State.RETREAT),
         ("I5", s.link is not Link.LOST or b in {State.INIT, State.FAULT}),
         ("I6", acknowledged or not before.latched or after.latched),
         ("I6", acknowledged or not s.fault or after.latched),

@@ -106,10 +106,7 @@ def _distance_off() -> list[Patch]:
         seen = count[id(self)] = count.get(id(self), 0) + 1
         return structs.replace(sample, position=sample.position + OFF_M) if seen > 60 else sample
 
-    return [
-        (DistanceDecoder, "decode", decode),
-        (DistanceHealth, "accepts", lambda *_: True),
-    ]
+    return [(DistanceDecoder, "decode", decode), (DistanceHealth, "accepts", lambda *_: True)]
 
 
 def _overload_never() -> list[Patch]:

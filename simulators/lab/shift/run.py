@@ -201,11 +201,7 @@ class ShiftRun:
         files = self._station
         variants = {name: _compiled(files, task) for name, task in files.variants.items()}
         app = App(
-            files,
-            _compiled(files, files.task),
-            realtime.RealtimeHost(),
-            Notifier(),
-            variants,
+            files, _compiled(files, files.task), realtime.RealtimeHost(), Notifier(), variants
         )
         self.app = app
         process = asyncio.get_running_loop().create_task(app.run())

@@ -45,8 +45,7 @@ MUJOCO_ROWS = {
     "mujoco-blind": MujocoRow("camera blind below 60 mm", ("mujoco.sensors.camera_blind=0.060",)),
     "mujoco-askew": MujocoRow("conveyor askew by 10 mrad", ("mujoco.line.askew=0.010",)),
     "mujoco-light-car": MujocoRow(
-        "a body of 300 kg",
-        ("mujoco.car.mass=300.0", "mujoco.car.inertia=[370.0, 120.0, 430.0]"),
+        "a body of 300 kg", ("mujoco.car.mass=300.0", "mujoco.car.inertia=[370.0, 120.0, 430.0]")
     ),
 }
 

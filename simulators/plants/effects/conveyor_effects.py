@@ -184,10 +184,7 @@ class ChainErrors:
     """
 
     def __init__(
-        self,
-        effects: ConveyorEffects,
-        starts: Sequence[tuple[float, float]],
-        phase: float,
+        self, effects: ConveyorEffects, starts: Sequence[tuple[float, float]], phase: float
     ) -> None:
         """Prepare polygon effect and stick-slip.
 

@@ -119,12 +119,7 @@ class Touch:
         return -reach < z < 0.01 and math.hypot(x, y) < 0.02
 
     def advance(
-        self,
-        deflection: Six,
-        velocity: Six,
-        sag: Six,
-        rigid: tuple[Pose, Pose],
-        step_s: float,
+        self, deflection: Six, velocity: Six, sag: Six, rigid: tuple[Pose, Pose], step_s: float
     ) -> tuple[Six, Six]:
         """Go on by one step.
 

@@ -99,8 +99,7 @@ def _bits(state: LimiterState) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("period", "digest"),
-    [(0.012, "c21c35386129a61e"), (0.004, "8efdb339b7b94323")],
+    ("period", "digest"), [(0.012, "c21c35386129a61e"), (0.004, "8efdb339b7b94323")]
 )
 def test_the_gate_admits_to_the_bit_what_it_always_did(period: float, digest: str) -> None:
     outcome = Transcript()

@@ -65,11 +65,7 @@ def test_narrower_limits_are_good() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "outcome"),
     [
-        (
-            'lower="-2.443460952792061"',
-            'lower="-140"',
-            "joint A2: lower is -140, at most 12",
-        ),
+        ('lower="-2.443460952792061"', 'lower="-140"', "joint A2: lower is -140, at most 12"),
         ('upper="6.0"', 'upper="6000"', "joint E1: upper is 6000, at most 30 m"),
         ('velocity="1.5"', 'velocity="1500"', "joint E1: velocity is 1500"),
         ('velocity="1.5"', 'velocity="-1.5"', "joint E1: velocity is -1.5"),

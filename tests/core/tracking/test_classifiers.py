@@ -310,9 +310,7 @@ def test_the_prediction_begins_where_the_view_is(classifier: Classifier) -> None
 
 
 @sober
-def test_the_prediction_of_a_stop_ends_where_it_will_stand(
-    classifier: Classifier,
-) -> None:
+def test_the_prediction_of_a_stop_ends_where_it_will_stand(classifier: Classifier) -> None:
     errors = []
     for seed in SEEDS:
         outcome = story(classifier, seed, ONE_STOP, 4.2)

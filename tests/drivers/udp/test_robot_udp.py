@@ -96,10 +96,7 @@ def test_after_a_stall_only_the_newest_telegram_is_answered(controller: socket.s
 
 @pytest.mark.parametrize(("fresh_ns", "answered"), [(10**10, [b"one", b"two"]), (0, [b"two"])])
 def test_only_an_expected_telegram_that_has_just_come_is_answered_before_a_newer_one(
-    controller: socket.socket,
-    monkeypatch: pytest.MonkeyPatch,
-    fresh_ns: int,
-    answered: list[bytes],
+    controller: socket.socket, monkeypatch: pytest.MonkeyPatch, fresh_ns: int, answered: list[bytes]
 ) -> None:
     monkeypatch.setattr(robot_udp, "FRESH_NS", fresh_ns)
     heard: list[bytes] = []

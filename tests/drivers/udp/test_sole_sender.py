@@ -90,9 +90,7 @@ def test_a_name_is_no_address() -> None:
         only_from(("somewhere", 1))
 
 
-def test_a_controller_that_is_answered_has_the_port_for_itself(
-    two: tuple[Sender, Sender],
-) -> None:
+def test_a_controller_that_is_answered_has_the_port_for_itself(two: tuple[Sender, Sender]) -> None:
     async def main() -> None:
         link = RobotLink(lambda data, *_, **__: data, port=0)
         link.open()

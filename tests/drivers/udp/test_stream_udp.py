@@ -49,12 +49,7 @@ def test_it_asks_starts_answers_and_ends(controller: socket.socket) -> None:
         begun: list[int] = []
         target = controller.getsockname()
         link = StreamLink(
-            hold,
-            "127.0.0.1",
-            0,
-            target,
-            FanucHandshake(3, 8.0),
-            on_start=lambda: begun.append(1),
+            hold, "127.0.0.1", 0, target, FanucHandshake(3, 8.0), on_start=lambda: begun.append(1)
         )
         link.open()
         asked = [await receive(controller) for _ in range(2)]

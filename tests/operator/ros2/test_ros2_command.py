@@ -100,9 +100,7 @@ def test_a_foreign_nodes_poses_reach_the_cameras_port(tmp_path: Path) -> None:
     assert samples[-1].covariance is not None
 
 
-def test_an_address_that_others_can_reach_needs_consent(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_an_address_that_others_can_reach_needs_consent(capsys: pytest.CaptureFixture[str]) -> None:
     for words in (["--listen", "tcp/0.0.0.0:7447"], ["--connect", "tcp/192.0.2.7:7447"]):
         assert tool.main(["ros2", *words]) == 2
         assert "--allow-remote" in capsys.readouterr().err

@@ -12,13 +12,7 @@ from zenoh_ros2_sdk.utils import ros2_to_dds_type
 from linemate.daemon.operator.ros2 import ros2_keys as keys
 from linemate.daemon.operator.ros2 import ros2_messages as messages
 
-KINDS = (
-    messages.JOINTS,
-    messages.TRANSFORMS,
-    messages.POSE,
-    messages.WRENCH,
-    messages.CAMERA_POSE,
-)
+KINDS = (messages.JOINTS, messages.TRANSFORMS, messages.POSE, messages.WRENCH, messages.CAMERA_POSE)
 NODE = keys.Node(7, "a1b2c3", "linemate")
 
 

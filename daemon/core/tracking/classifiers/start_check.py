@@ -93,11 +93,7 @@ def update(
 
 
 def deny(
-    check: StartCheck | None,
-    readings: Array,
-    onset: float,
-    rest_deviation: float,
-    deviation: float,
+    check: StartCheck | None, readings: Array, onset: float, rest_deviation: float, deviation: float
 ) -> StartRejection | None:
     """Return the class before the start if the distance sensor denies the start, else None.
 

@@ -436,13 +436,7 @@ def _likeliness(settings: SwaySettings) -> Array:
 
 
 def _fit(
-    bank: SwayBank,
-    frequencies: Grid,
-    A: Array,
-    weighted: Array,
-    scores: Array,
-    i: int,
-    left: float,
+    bank: SwayBank, frequencies: Grid, A: Array, weighted: Array, scores: Array, i: int, left: float
 ) -> SwayFit:
     """Return the sway at one frequency of the grid, interpolated in frequency.
 

@@ -151,10 +151,7 @@ def touched(state: BankState, pushed: float = 0.0) -> BankState:
 
 
 def _read(
-    model: BankModel,
-    state: BankState,
-    sways: SwayBank,
-    measurements: Sequence[PositionMeasurement],
+    model: BankModel, state: BankState, sways: SwayBank, measurements: Sequence[PositionMeasurement]
 ) -> SwayBank:
     """Return the regressions after the readings."""
     acceleration = float(state.x[ACCELERATION]) if state.motion in RAMPS else 0.0

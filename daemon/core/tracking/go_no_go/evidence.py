@@ -6,10 +6,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.tracking.conveyor import (
-    ConveyorEstimate,
-    Motion,
-)
+from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.estimation import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
@@ -263,10 +260,9 @@ def _acceleration(tracker: Tracker, state: TrackerState) -> float:
 def _moves(tracker: Tracker, view: ConveyorEstimate) -> float:
     """Return how far a change out of the class moves the object before the tool can follow [m]."""
     conveyor = tracker.task.conveyor
-    change = {
-        Motion.RUNNING: conveyor.deceleration,
-        Motion.STANDING: conveyor.acceleration,
-    }.get(view.motion, conveyor.deceleration + conveyor.acceleration)
+    change = {Motion.RUNNING: conveyor.deceleration, Motion.STANDING: conveyor.acceleration}.get(
+        view.motion, conveyor.deceleration + conveyor.acceleration
+    )
     return 0.5 * change * FOLLOWED_S**2
 
 

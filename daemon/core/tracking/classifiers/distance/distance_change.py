@@ -132,12 +132,7 @@ class _ChangeFit(NamedTuple):
 
 
 def _fit(
-    ages: Array,
-    way: Array,
-    onsets: Array,
-    change: float,
-    speed_deviation: float,
-    deviation: float,
+    ages: Array, way: Array, onsets: Array, change: float, speed_deviation: float, deviation: float
 ) -> _ChangeFit:
     """Return the least squares of a steady motion and a change, for each onset (k,)."""
     begun = np.maximum(onsets[:, None] - ages, 0.0)
