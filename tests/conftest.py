@@ -8,6 +8,10 @@ from collections.abc import Callable, Iterator
 import pytest
 from hypothesis import HealthCheck, settings
 
+# Before numpy is imported, as the programs do: a second thread of BLAS made identification take 1.7
+# times the processor time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from linemate.daemon.config import task_file
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.task_file import Task
