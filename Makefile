@@ -45,8 +45,7 @@ test: .venv/.ok
 lint: .venv/.ok
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
-	@set -e; for package in protocol drivers daemon simulators; do \
-		echo "mypy -p linemate.$$package"; .venv/bin/mypy -p linemate.$$package; done
+	.venv/bin/mypy
 	.venv/bin/lint-imports
 	.venv/bin/python docs/make/vocabulary.py
 
@@ -64,8 +63,7 @@ fuzz: .venv/.ok
 	.venv/bin/python tests/fuzz.py $(ARGS)
 
 # Every branch of the state machine, the gate, the exchange and the parsers, by their own tests.
-OWN_TESTS := tests/protocol tests/cycle/test_states_cases.py tests/cycle/test_states_transcript.py \
-	tests/cycle/test_watch.py \
+OWN_TESTS := tests/protocol tests/cycle/test_states_cases.py tests/cycle/test_watch.py \
 	tests/core/control/test_command_limiter.py tests/core/control/test_command_limiter_transcript.py
 JUDGED := daemon/cycle/states.py,daemon/cycle/watch.py,daemon/core/control/axis_limits.py,protocol/exchange*.py
 JUDGED := $(JUDGED),daemon/core/control/command_limiter.py,protocol/rsi/*.py,protocol/command/*.py,protocol/sensors/*.py,protocol/units.py
@@ -100,11 +98,11 @@ define environment
 	$(PYTHON) -m venv --without-pip $(1)
 	@set -e; what="-c constraints.txt $(2)"; \
 	if $(PYTHON) -m pip --version >/dev/null 2>&1; then \
-		set -x; $(PYTHON) -m pip --python $(1)/bin/python install -q $$what; \
+		set -x; $(PYTHON) -m pip --python $(1)/bin/python install -q $(3) $$what; \
 	elif command -v uv >/dev/null; then \
 		set -x; uv pip install -q --python $(1)/bin/python $$what; \
 	elif $(1)/bin/python -m ensurepip >/dev/null 2>&1; then \
-		set -x; $(1)/bin/python -m pip install -q $$what; \
+		set -x; $(1)/bin/python -m pip install -q $(3) $$what; \
 	else \
 		echo "no way to install packages; on Debian: apt install python3-pip libgomp1 make" >&2; \
 		exit 1; \
@@ -115,8 +113,9 @@ define environment
 endef
 
 .venv/.ok: pyproject.toml constraints.txt
-	$(call environment,.venv,-e .[dev])
-	@.venv/bin/python -m compileall -q protocol drivers daemon simulators
+	$(call environment,.venv,-e .[dev],--no-compile)
+	@# Not by pip, which has one process for it.
+	@.venv/bin/python -m compileall -qq -j 0 .venv/lib protocol drivers daemon simulators || true
 	@# A disk that still takes in this gigabyte stalls a virtual machine for 0.1 s: a demo would fail.
 	@sync
 	@touch $@
