@@ -7,13 +7,14 @@ Invariants:
 """
 
 import argparse
+import math
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TypeVar
 
 from linemate.daemon.near_names import near_names
 
@@ -27,6 +28,10 @@ INTERRUPTED: Final = 130  # ^C
 CLOSED_PIPE: Final = 141  # 128 + SIGPIPE: the reader of the output has ended
 
 DISTRIBUTION: Final = "linemate"
+POSITIVE: Final = math.ulp(0.0)
+"""The least number greater than zero."""
+
+Number = TypeVar("Number", int, float)
 
 
 class UsageError(Exception):
@@ -44,6 +49,21 @@ def one_thread() -> None:
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+
+
+def bounded(
+    kind: Callable[[str], Number], low: float, high: float, refusal: str
+) -> Callable[[str], Number]:
+    """Return the type of an option whose value lies from low to high; others have the refusal."""
+
+    def read(text: str) -> Number:
+        with suppress(ValueError):
+            value = kind(text)
+            if low <= value <= high:
+                return value
+        raise argparse.ArgumentTypeError(f"{text!r} {refusal}")
+
+    return read
 
 
 def run(program: str, command: Callable[[], int]) -> int:

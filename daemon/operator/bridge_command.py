@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.command_line import OK, UsageError
+from linemate.daemon.command_line import OK, UsageError, bounded
 from linemate.daemon.operator import bridge_messages as messages
 from linemate.daemon.operator import console
 from linemate.daemon.transport.client import (
@@ -188,7 +188,11 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
         help="a router or another bridge",
     )  # fmt: skip
     parser.add_argument(
-        "--rate", type=_rate, default=10.0, metavar="HZ", help="of the telemetry, 0 to 50; 10"
+        "--rate",
+        type=bounded(float, 0.0, 50.0, "is not 0 to 50 Hz"),
+        default=10.0,
+        metavar="HZ",
+        help="of the telemetry, 0 to 50; 10",
     )
     parser.set_defaults(run=main)
 
@@ -235,10 +239,3 @@ def _station(text: str) -> tuple[str, Path]:
     if set(name) & set("/*$?# "):
         raise argparse.ArgumentTypeError(f"{name!r} is not one part of a zenoh key")
     return name, path
-
-
-def _rate(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if 0.0 <= float(text) <= 50.0:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not 0 to 50 Hz")

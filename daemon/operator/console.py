@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import CommandLine
+from linemate.daemon.command_line import POSITIVE, CommandLine, bounded
 from linemate.daemon.operator import render
 from linemate.daemon.transport.client import (
     DEFAULT_PORT,
@@ -18,7 +18,8 @@ from linemate.daemon.transport.client import (
 )
 
 COMPILE_S: Final = 4.5  # time for a daemon that compiles parameters or writes a file [s]
-MAX_DURATION_S: Final = 3600.0
+seconds: Final = bounded(float, POSITIVE, 3600.0, "is not a number of seconds")
+"""Type of a duration [s], at most an hour."""
 
 
 def complain(text: object) -> None:
@@ -78,14 +79,6 @@ def udp_address(text: str) -> tuple[str, int]:
         if host and 0 < int(port) < 65536:
             return host.strip("[]"), int(port)
     raise argparse.ArgumentTypeError(f"{text!r} is not HOST or HOST:PORT")
-
-
-def seconds(text: str) -> float:
-    """Return a duration [s], at most an hour."""
-    with contextlib.suppress(ValueError):
-        if 0.0 < float(text) <= MAX_DURATION_S:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds")
 
 
 def station(text: str) -> tuple[str, Path]:

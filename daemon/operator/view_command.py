@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import OK, NegativeError, UsageError
+from linemate.daemon.command_line import OK, NegativeError, UsageError, bounded
 from linemate.daemon.operator import console
 
 NICE: Final = 10  # the robot's processes of this machine go first
@@ -23,7 +23,9 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
     parser = commands.add_parser("view", parents=[common], help=HELP, description=ABOUT)
     parser.add_argument("files", nargs="*", type=Path, metavar="FILE", help="recordings to play")
     parser.add_argument(
-        "--port", type=_port, help="of the page, any free one; with --foxglove 8765"
+        "--port",
+        type=bounded(int, 0, 65535, "is not a port"),
+        help="of the page, any free one; with --foxglove 8765",
     )
     parser.add_argument(
         "--bind", type=_address, default="127.0.0.1", metavar="ADDRESS",
@@ -93,13 +95,6 @@ def _source(args: argparse.Namespace) -> str:
     if udp:
         return f"{udp[0]}:{udp[1]}"
     return str(getattr(args, "socket", None) or "this host")
-
-
-def _port(text: str) -> int:
-    with contextlib.suppress(ValueError):
-        if 0 <= int(text) < 65536:
-            return int(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not a port")
 
 
 def _address(text: str) -> str:

@@ -14,9 +14,11 @@ from pathlib import Path
 from linemate.daemon import command_line
 from linemate.daemon.command_line import (
     BAD_FILE,
+    POSITIVE,
     CommandLine,
     UsageError,
     Version,
+    bounded,
     check_output_file,
     check_output_folder,
     one_thread,
@@ -147,26 +149,6 @@ def scheduler(text: str) -> str:
     return text
 
 
-def _count(text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = 0
-    if not 1 <= value <= MAX_SEEDS:
-        raise argparse.ArgumentTypeError(f"{text!r} should be 1..{MAX_SEEDS}")
-    return value
-
-
-def _hours(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= MAX_HOURS:
-        raise argparse.ArgumentTypeError(f"{text!r} should be hours, at most {MAX_HOURS:g}")
-    return value
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = CommandLine(
         prog="linemate-sim", description="Emulators of the station, and runs against them."
@@ -203,15 +185,11 @@ def _parts(text: str) -> tuple[str, ...]:
     return names
 
 
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.1 <= value <= MAX_ROUND_S:
-        raise argparse.ArgumentTypeError(f"{text!r} should be 0.1..{MAX_ROUND_S:g} seconds")
-    return value
-
+_count = bounded(int, 1, MAX_SEEDS, f"should be 1..{MAX_SEEDS}")
+_hours = bounded(float, POSITIVE, MAX_HOURS, f"should be hours, at most {MAX_HOURS:g}")
+_minutes = bounded(float, POSITIVE, MAX_MINUTES, f"should be 0..{MAX_MINUTES:g} minutes")
+_seconds = bounded(float, 0.1, MAX_ROUND_S, f"should be 0.1..{MAX_ROUND_S:g} seconds")
+_share = bounded(float, 0.0, 1.0, "should be a share, 0..1")
 
 Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public name for it
 
@@ -388,26 +366,6 @@ def _add_measure_arm(commands: "Commands[CommandLine]") -> None:
     arm.add_argument(
         "--positions", action="store_true", help="a single reflector: positions without orientation"
     )
-
-
-def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= MAX_MINUTES:
-        raise argparse.ArgumentTypeError(f"{text!r} should be 0..{MAX_MINUTES:g} minutes")
-    return value
-
-
-def _share(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} should be a share, 0..1")
-    return value
 
 
 def _add_world(commands: "Commands[CommandLine]") -> None:

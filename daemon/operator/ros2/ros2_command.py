@@ -10,7 +10,7 @@ import threading
 import time
 from typing import TYPE_CHECKING, Any, Final
 
-from linemate.daemon.command_line import OK, UsageError
+from linemate.daemon.command_line import OK, UsageError, bounded
 from linemate.daemon.operator import console
 
 if TYPE_CHECKING:
@@ -40,7 +40,11 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
         help="name of the node, and first part of its topics; linemate",
     )  # fmt: skip
     parser.add_argument(
-        "--rate", type=_rate, default=25.0, metavar="HZ", help="of all topics, 1 to 50; 25"
+        "--rate",
+        type=bounded(float, 1.0, 50.0, "is not 1 to 50 Hz"),
+        default=25.0,
+        metavar="HZ",
+        help="of all topics, 1 to 50; 25",
     )
     parser.add_argument(
         "--camera", type=_camera, metavar="ADDRESS:PORT",
@@ -175,13 +179,6 @@ def _name(text: str) -> str:
     if re.fullmatch("[A-Za-z][A-Za-z0-9_]{0,62}", text):
         return text
     raise argparse.ArgumentTypeError(f"{text!r} is not a ROS name of letters, digits and _")
-
-
-def _rate(text: str) -> float:
-    with contextlib.suppress(ValueError):
-        if 1.0 <= float(text) <= 50.0:
-            return float(text)
-    raise argparse.ArgumentTypeError(f"{text!r} is not 1 to 50 Hz")
 
 
 def _camera(text: str) -> tuple[str, int]:
