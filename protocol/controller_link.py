@@ -66,7 +66,6 @@ class ControllerTelegram(NamedTuple):
     Attributes:
         counter: number of the cycle.
         echo: the counter's bytes as a reply repeats them.
-        robot: what it says of the robot.
         programmed: position of the axes without corrections [rad, m], None if not in the telegram.
         unready: why the controller takes no setpoint now and what to do, None if it takes them.
         sent_to: where the controller sends its servos [rad, m], None if not in the telegram.

@@ -50,7 +50,6 @@ class CameraMount:
         object_position: of Y, (3,) [m].
         residuals: (n, 6) of the used postures, in the object's axes [m, rad].
         turn: rotation about the second axis of the motion [rad].
-        used, given: postures.
     """
 
     position: Array

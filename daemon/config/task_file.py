@@ -53,7 +53,6 @@ class Task:
     """A task file and its URDF.
 
     Attributes:
-        file: what the task file says.
         text: the task file itself, for recordings.
         document: where each of its values stands.
     """

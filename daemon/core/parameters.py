@@ -112,9 +112,6 @@ def build(
 ) -> Parameters:
     """Return the parameters of a cell.
 
-    Args:
-        urdf_text: the arm, as text.
-
     Raises:
         ValueError: settings, task and arm contradict each other; the message names them.
     """

@@ -66,7 +66,6 @@ class Change(Struct, frozen=True):
     """A change of the operating state.
 
     Attributes:
-        stamp_ns: of the decision [ns].
         before, after: the states; equal if a fault was latched and the state stayed.
     """
 

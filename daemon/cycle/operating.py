@@ -148,7 +148,6 @@ class Operating:
         """Move the operating state on what was seen up to now.
 
         Args:
-            stamp_ns: of the step [ns].
             samples: what the sensors brought.
             situation: the robot and the task.
             telegram: the step is made for one.

@@ -12,10 +12,8 @@ class LogEntry(Struct, frozen=True):
 
     Attributes:
         counter: the one it answered, None if it answered none.
-        inputs, outputs: in and out.
         before, after: the step's own state; where ``before`` is not the ``after`` of the entry
             before, a session began, or steps are missing.
-        parameters: it was made with.
     """
 
     counter: int | None

@@ -25,8 +25,6 @@ class Facts(Struct, frozen=True):
     """What one cycle showed, as it was.
 
     Attributes:
-        stamp_ns: of the cycle [ns].
-        telegram: the cycle has a telegram.
         unled_s: the robot had no setpoint for so long, by the controller's own count [s].
         new_session: the controller's program has started again.
         resynchronised: the counter or the controller's address has changed, the program goes on.
@@ -92,7 +90,6 @@ class Watch(Struct, frozen=True):
             that it has to be withdrawn.
         interrupted: the present fault is a lost link that ended a motion of the task.
         state: the operating state as last seen.
-        since_ns: when it was entered [ns].
     """
 
     link: Link = Link.LOST

@@ -47,7 +47,6 @@ class FittedRamp:
     """A stop or a start.
 
     Attributes:
-        starts: it is a start.
         begin, end: when the speed leaves the old value and reaches the new one, roughly [s].
     """
 

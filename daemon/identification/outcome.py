@@ -40,7 +40,6 @@ class ReportLine:
         name: name of the value, or path of the parameter.
         unit: unit of the shown value.
         scale: from SI to that unit.
-        in_overlay: the overlay has this value.
     """
 
     name: str

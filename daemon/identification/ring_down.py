@@ -53,7 +53,6 @@ class ModeResult:
 
     Attributes:
         mode: what goes into an overlay, None if refused.
-        frequency_hz, damping: outcomes.
         noise: deviation of a single reading [N, Nm], None if refused.
     """
 

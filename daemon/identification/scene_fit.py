@@ -64,7 +64,6 @@ class Mode:
 
     Attributes:
         axis: 0..2, the axis of c about which it turns most.
-        frequency_hz, damping: of the swing.
         direction: (3,) turn for each radian about ``axis``.
         levers: (3,) displacement for each radian about ``axis`` [m/rad].
     """

@@ -45,7 +45,6 @@ class ServoResult:
     Attributes:
         axis: 0..5 for A1..A6, 6 for E1.
         model: what goes into an overlay, None if refused.
-        frequency_hz, damping, dead_time: outcomes.
         friction: of the drive, with a level of 0 if it is refused.
         level: outcome of that level [rad, m].
     """

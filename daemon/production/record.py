@@ -38,7 +38,6 @@ class PartRecord:
         """Begin.
 
         Args:
-            stamp_ns: of the beginning [ns].
             at: the same as UTC in ISO 8601.
         """
         self.part = part

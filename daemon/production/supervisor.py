@@ -41,7 +41,6 @@ class CellView(Struct, frozen=True):
     """What the supervisor sees in one cycle.
 
     Attributes:
-        stamp_ns: of the cycle [ns].
         cause: why the state was entered.
         decisions: of the operating state so far.
         reading: newest reading of the distance sensor [m], None before one.

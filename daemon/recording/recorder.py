@@ -49,7 +49,6 @@ class RecorderStatus:
     Attributes:
         file: path of the present or the last file.
         files: number of files since the start of the recording.
-        written: steps in all of them.
         dropped: steps that found the queue full or the file ended.
         unfit: steps that could not be encoded.
         failure: why the last recording ended early, empty if it did not.

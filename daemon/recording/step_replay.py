@@ -94,7 +94,6 @@ class Summary:
 
     Attributes:
         steps: number of steps with a difference.
-        first: the first of them.
         largest: largest difference of a number, None without numbers.
         at: the step with the largest difference.
     """

@@ -167,7 +167,6 @@ def encode_line(text: str, wall_ns: int, level: int = INFO, name: str = "linemat
 
     Args:
         wall_ns: time of the line since the epoch [ns].
-        name: name of the writer.
     """
     message = {"timestamp": _time(wall_ns), "level": level, "message": text, "name": name}
     return as_json({**message, "file": "", "line": 0})

@@ -95,7 +95,6 @@ class App:
     """One daemon.
 
     Args:
-        host: what the host granted.
         variants: compiled tasks of the production's variants.
 
     Attributes:

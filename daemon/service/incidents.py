@@ -30,7 +30,6 @@ class IncidentFiles:
 
     Attributes:
         directory: where; None keeps nothing.
-        written, failed: files.
         refused: incidents that found another one unfinished.
         removed: number of older files removed beyond MOST_FILES.
     """

@@ -53,7 +53,6 @@ class ParameterService:
     Attributes:
         on_change: called before a change is in force.
         on_event: called with a line about a change, after it.
-        settings: the settings in force.
     """
 
     station: LoadedConfig

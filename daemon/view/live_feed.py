@@ -30,9 +30,7 @@ class LiveFeed:
 
     Attributes:
         connect: Makes a client of the daemon, for each attempt.
-        hub: The hub that is fed.
         call: The event loop's ``call_soon_threadsafe``.
-        rate_hz: Rate of the telemetry.
     """
 
     connect: Callable[[], Client]

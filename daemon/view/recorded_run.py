@@ -51,8 +51,6 @@ class RecordedRun:
     """A recording that has been read.
 
     Attributes:
-        name: Name of the file.
-        cell: The cell that was recorded.
         frames: Oldest first, with the keys of OVERVIEW; ``t`` counts from the first one [s].
         events: Time [s] and text of the log.
         trouble: Why not all of it is here, empty if it is.

@@ -42,7 +42,6 @@ async def watch(connect: Callable[[], Client], source: str, where: Where) -> Non
     Args:
         connect: Makes a client of the daemon, for each attempt.
         source: Name of the daemon on the page.
-        where: Where the page is.
 
     Raises:
         OSError: The port is taken.
@@ -81,8 +80,6 @@ async def serve(
     """Listen, print the address, and wait for a signal.
 
     Args:
-        routes: What is at which path.
-        where: Where the page is.
         work: Runs at the same time; an error of it ends the server.
 
     Raises:

@@ -139,9 +139,6 @@ class CapabilityPacket(Struct, frozen=True):
 def packed(layout: struct.Struct, name: str, *values: object) -> bytes:
     """Return the bytes of a packet.
 
-    Args:
-        name: of the packet, for the error.
-
     Raises:
         FanucError: a value that the wire cannot carry.
     """

@@ -189,7 +189,6 @@ class DistanceDecoder:
     Args:
         dbc: text of the DBC, or path of its file.
         message: name of the message in the DBC.
-        signal: name of the signal that is the distance.
         strength: name of the signal strength's signal, by default ``Strength`` if there is one.
         can_id: identifier instead of the DBC's, e.g. 0x180 + node.
         step: one count [m] instead of the DBC's factor, e.g. as set by object 6501h.

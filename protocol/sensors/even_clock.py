@@ -85,7 +85,6 @@ class EvenClock:
         """Leave a reading out whose date is unknown; return whether it is.
 
         Args:
-            read_ns: when it was read [ns].
             came_ns: the same, in a portion as of its last reading [ns].
         """
         if self._last_ns is None:

@@ -148,9 +148,6 @@ class Faults:
     def in_force(self, link: str, kind: str, time_s: float) -> Fault | None:
         """The fault of a kind that a link suffers at a time.
 
-        Args:
-            kind: one of its kinds.
-
         Returns:
             The fault, None if there is none.
         """

@@ -72,7 +72,6 @@ class Violation:
     """One excess.
 
     Attributes:
-        cycle: number of the cycle.
         axis: 0..5 for A1..A6, 6 for E1.
         value: what was asked for [rad, m and seconds].
     """

@@ -18,7 +18,6 @@ class TurnAround:
 
     Attributes:
         latest_ns: the last one [ns], None before the first.
-        longest_ns: the longest of all [ns].
         forgotten: values that were not kept.
     """
 

@@ -87,7 +87,6 @@ def run(
     """Run one seed to its end.
 
     Args:
-        setup: what the run is made of.
         seed: of the plant's draws.
         timing: measure computing times with the host's clock.
         on_step: given every step that the daemon made, after its reply.

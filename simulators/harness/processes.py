@@ -242,9 +242,6 @@ def start_daemon(
 ) -> tuple[Child, dict[str, Any]]:
     """Start a daemon, and return it with the addresses on which it listens.
 
-    Args:
-        module: that is run as the daemon.
-
     Raises:
         ChildError: it ended without a message.
         TimeoutError: no message in time.

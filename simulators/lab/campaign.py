@@ -34,7 +34,6 @@ class CampaignJob:
     """One run.
 
     Attributes:
-        setup: what it is made of.
         seed: of the plant's draws.
         out: where its report goes, None for nowhere.
         timing: measure computing times, which are no function of the seed.

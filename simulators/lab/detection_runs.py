@@ -59,7 +59,6 @@ class DetectionRun:
     """One stretch of virtual time.
 
     Attributes:
-        kind: what happens in it.
         setup: truth and settings; its robot and camera stay at home.
         duration_s: of the stretch, lead-in excluded [s].
     """

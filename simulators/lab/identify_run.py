@@ -54,7 +54,6 @@ class IdentificationPlan:
     """How much is recorded.
 
     Attributes:
-        exercises: recordings of the exercise.
         wheels: recordings of ordinary runs with the settings identified from the exercise.
         seed: of the first recording.
         cycle_ms: instead of the scenarios' cycle.

@@ -47,7 +47,6 @@ class TwoBodyCell:
     """What the daemon is built for.
 
     Attributes:
-        cycle_s: cycle of the controller.
         mount: stiffness of the mount, the same in each direction [N/m].
         configured: stiffness in the daemon's settings, as a share of it.
         dead_time: of each servo [s].

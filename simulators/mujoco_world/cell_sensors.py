@@ -81,7 +81,6 @@ class HubCamera:
 
         Args:
             rigid: tcp as the flange holds it: position (3,) and rotation (3, 3) in base.
-            hub: the same of the hub.
         """
         sensors, draw = self._sensors, self._draw
         noise, chance = draw.standard_normal(9), draw.uniform(-1.0, 1.0, 2)

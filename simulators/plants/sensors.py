@@ -31,7 +31,6 @@ class DistanceEmission(NamedTuple):
 
     Attributes:
         time_s: when it leaves the sensor [s].
-        exposure_s: when it was measured [s].
     """
 
     time_s: float
@@ -45,7 +44,6 @@ class CameraEmission(NamedTuple):
     """A pose of the hub in the camera's frame.
 
     Attributes:
-        time_s: when it leaves the camera [s].
         exposure_s: middle of the exposure, as the camera states it [s].
         position: hub in camera [m].
         quaternion: hub in camera, w x y z.
@@ -65,7 +63,6 @@ class WrenchEmission(NamedTuple):
 
     Attributes:
         time_s: when it leaves the sensor [s].
-        exposure_s: when it was measured [s].
     """
 
     time_s: float

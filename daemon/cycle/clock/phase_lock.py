@@ -83,7 +83,6 @@ class CycleEstimate:
         """Add the arrival of a telegram.
 
         Args:
-            stamp_ns: of its arrival [ns].
             cycles: since the telegram before, by their counters.
         """
         expected_ns = self.expected_ns(cycles)

@@ -79,7 +79,6 @@ class Lateness:
     """How late the loop woke.
 
     Attributes:
-        last_ns, worst_ns: [ns].
         late: wakes later than a quarter of a cycle.
     """
 

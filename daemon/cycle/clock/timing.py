@@ -26,7 +26,6 @@ class CycleTimes(Struct, frozen=True):
     Attributes:
         counter: of the telegram, None if it was missing.
         arrival_ns: of the telegram, or the deadline that stood in for it.
-        expected_ns: when the telegram was expected.
         woken_late_ns: the clock, for this cycle's step.
         turnaround_ns: from arrival to the reply sent.
         prepared: the reply was ready before its telegram.

@@ -75,11 +75,7 @@ class Learner:
     def estimate_servos(
         self, motion: Sequence[tuple[tuple[float, ...], tuple[float, ...] | None]]
     ) -> ServoEstimates:
-        """Return the models after a motion, window by window; to be called in a thread.
-
-        Args:
-            motion: as ``motion`` returned it.
-        """
+        """Return the models after a motion, window by window; to be called in a thread."""
         axes, estimates = len(self._identified), self.learned
         size = max(math.ceil(self._settings.window_s / self._cycle_s), 1)
         for begin in range(0, len(motion) - size + 1, size):

@@ -94,7 +94,6 @@ class Health(Generic[Sample]):
         """Count a good or bad sample, and return whether it may be used.
 
         Args:
-            stamp_ns: of the sample [ns].
             fault: what is wrong with it, None if nothing is.
         """
         if fault is None:

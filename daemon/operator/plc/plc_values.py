@@ -22,7 +22,6 @@ class PlcValues(NamedTuple):
         Cause: why the operating state was entered.
         Held: why production begins no further part, empty while it runs.
         PartIn, VariantIn: the part that is being assembled, empty without one.
-        PartOut, VariantOut, ResultOk, ResultReason: the last result.
         Waiting: parts in the queue.
         Good, Bad: results since the start of the daemon.
     """

@@ -21,7 +21,6 @@ class RoboticsValues(NamedTuple):
         on_path: no axis has a following error, and no fault waits for its acknowledgement.
         positions: measured A1..A6 [rad], E1 [m], empty if not known.
         program: variant of the part that is assembled, else the task.
-        is_loaded: a task is loaded.
         mode: of execution, ``CYCLE`` or ``CONTINUOUS``.
     """
 

@@ -87,9 +87,6 @@ def request_all(settings: RealtimeSettings) -> RealtimeHost:
     """Make all configured requests.
 
     Call it before threads are started, so that they inherit the cores but not the priority.
-
-    Args:
-        settings: what to request_all for.
     """
     sys.setswitchinterval(SWITCH_S)
     host = RealtimeHost()
@@ -317,7 +314,6 @@ class Collector:
 
     Attributes:
         every: cycles between two quick collections.
-        quick, full: number of collections.
     """
 
     every: int = 250

@@ -27,11 +27,7 @@ log = logging.getLogger(__name__)
 
 
 class RecordFiles:
-    """Writes records into a directory.
-
-    Attributes:
-        written, failed, dropped: numbers of records.
-    """
+    """Writes records into a directory."""
 
     def __init__(self, directory: Path | None, days: int) -> None:
         """Begin without records.

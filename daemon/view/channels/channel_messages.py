@@ -132,7 +132,6 @@ class StandardChannels:
 
         Args:
             wall_ns: time of the exposure since the epoch [ns].
-            frame: frame of the pose.
             pose: position [m] and quaternion, w first.
         """
         self.camera_frame = frame

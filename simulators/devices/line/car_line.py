@@ -30,7 +30,6 @@ class CarLine:
 
     Attributes:
         car: that is in front of the robot.
-        entered_s: when it entered [s].
         reading: what the distance sensor would read without error [m], less its mount.
     """
 

@@ -17,7 +17,6 @@ class CameraSender:
 
     Attributes:
         frame: frame the poses are given in.
-        object_id: object the poses are of.
         clock_offset_ns: its clock minus the clock of the stamps given to it [ns].
         sequence: number of the next message.
         reset: number of restarts of the tracker.

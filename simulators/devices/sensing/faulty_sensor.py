@@ -44,7 +44,6 @@ class FaultySensor:
         """What the sensor says instead of a reading.
 
         Args:
-            time_s: when it was taken [s].
             additive: how many leading values can be scaled and offset, None: all. A quaternion
                 behind a position cannot.
 

@@ -43,7 +43,6 @@ class SlcanAdapter:
     """The adapter's end of the line.
 
     Attributes:
-        is_open: the channel is open.
         listen_only: opened with ``L``: nothing may be sent to the bus.
         bitrate_code: the digit of the last ``S``, None before any.
         stamps: frames carry the adapter's clock.

@@ -29,11 +29,7 @@ class SetupError(ValueError):
 
 
 class UnknownVariantError(SetupError):
-    """No such variant.
-
-    Attributes:
-        name: what was asked for.
-    """
+    """No such variant."""
 
     def __init__(self, name: str) -> None:
         """Keep the message, with the known variants."""

@@ -184,7 +184,6 @@ def c_timer(program: Path, period_ns: int, spike_ns: int) -> list[str]:
     """The command of the C program that only wakes.
 
     Args:
-        period_ns: of its wakes [ns].
         spike_ns: a wake later than this is printed [ns].
     """
     return [str(program), "timer", str(period_ns), str(spike_ns)]

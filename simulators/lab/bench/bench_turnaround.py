@@ -58,7 +58,6 @@ class Bench:
         trace: file of the trace that is played.
         program: the C programs, None without a compiler.
         fifo: real-time priorities are granted.
-        round_s: length of one [s].
         cpus: the cores there are.
     """
 

@@ -55,7 +55,6 @@ class FaultOracle:
         """Begin before the first cycle.
 
         Args:
-            cycle_s: of the controller [s].
             braking: what each axis stops with [rad/s^2, m/s^2].
         """
         self.violations: list[str] = []

@@ -137,7 +137,6 @@ class PlantOracle:
 
         Args:
             emitters: the sensors' ends of the links.
-            cycle_s: of the controller [s].
             cycle_off: by what share the controller's cycle is not the configured one.
             has_rail: the daemon moves E1.
             unanswered_s: longest time without answers to telegrams that were heard [s].

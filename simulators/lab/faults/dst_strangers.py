@@ -41,7 +41,6 @@ class Strangers:
 
         Args:
             make_second: gives a second controller, whose robot stands still.
-            cycle_s: of the controllers [s].
             ipoc_step: what a counter grows by each cycle.
         """
         self.source = FIRST

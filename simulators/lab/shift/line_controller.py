@@ -20,7 +20,6 @@ class LineController:
 
     Attributes:
         refusals: requests that were refused, the newest.
-        acknowledged: faults that it has acknowledged.
         orders: number of requests by operation.
     """
 

@@ -24,7 +24,6 @@ class CellJob:
     """One cell to be identified.
 
     Attributes:
-        setup: of the runs in it.
         exercises: how many are recorded.
         kept: folder of recordings and overlays.
         sources: digest of the sources that the exercises are run with.
