@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterator
+from copy import deepcopy
 
 import numpy as np
 import pytest
@@ -30,6 +31,19 @@ from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Wren
 @pytest.fixture
 def station(parameters: Parameters, task: Task) -> Station:
     return Station(parameters, task)
+
+
+@pytest.fixture(scope="module")
+def tracked(parameters: Parameters, task: Task) -> Station:
+    """A station whose robot moves at the conveyor's speed; without its log it is copied quickly."""
+    station = Station(parameters, task).track(163)
+    station.cycle.take_log()
+    return station
+
+
+@pytest.fixture
+def moving(tracked: Station) -> Station:
+    return deepcopy(tracked, {id(tracked.parameters): tracked.parameters})
 
 
 def bare(station: Station) -> bool:
@@ -405,64 +419,57 @@ def test_a_step_stands_on_what_the_telegram_before_it_was_given_however_late(
 @pytest.mark.parametrize("slipped", [0, 1, 3])
 @pytest.mark.parametrize("unanswered", [1, 2])
 def test_after_a_cycle_without_a_reply_a_step_begins_where_the_robot_holds(
-    parameters: Parameters,
-    task: Task,
-    slipped: int,
-    unanswered: int,
-    steps_missing: int,
-    is_prepared: bool,
+    moving: Station, slipped: int, unanswered: int, steps_missing: int, is_prepared: bool
 ) -> None:
-    station = Station(parameters, task).track(163)
     # A controller that was delayed counts no cycles: the clock's steps are ahead of its IPOC.
     for _ in range(slipped):
-        station.cycle.on_missing(station.stamp_ns)
-        station.k += 1
-    station.exchange()
+        moving.cycle.on_missing(moving.stamp_ns)
+        moving.k += 1
+    moving.exchange()
     # Of telegrams that wait together only the newest is answered; the clock may have seen to both.
     for count in range(unanswered):
         if count < steps_missing:
-            station.cycle.on_missing(station.stamp_ns)
-        station.next()
-        station.delay += 1
+            moving.cycle.on_missing(moving.stamp_ns)
+        moving.next()
+        moving.delay += 1
     if is_prepared:
-        station.feed()
-        station.cycle.prepare(station.stamp_ns)
-    held = np.array(station.axes)
-    station.exchange(feed=not is_prepared)
-    assert station.cycle.last is not None
-    assert station.cycle.last.inputs.applied == pytest.approx(held, abs=1e-9)
-    before = station.cycle.last.outputs.command
-    station.exchange()
-    assert station.cycle.last.inputs.sent
-    assert station.axes == pytest.approx(station.cycle.last.outputs.command, abs=1e-9)
+        moving.feed()
+        moving.cycle.prepare(moving.stamp_ns)
+    held = np.array(moving.axes)
+    moving.exchange(feed=not is_prepared)
+    assert moving.cycle.last is not None
+    assert moving.cycle.last.inputs.applied == pytest.approx(held, abs=1e-9)
+    before = moving.cycle.last.outputs.command
+    moving.exchange()
+    assert moving.cycle.last.inputs.sent
+    assert moving.axes == pytest.approx(moving.cycle.last.outputs.command, abs=1e-9)
     assert np.abs(np.array(before) - held).max() > 0.0
 
 
 @pytest.mark.parametrize("is_prepared", [True, False])
 @pytest.mark.parametrize("steps_ahead", [2, 3, 5])
 def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
-    parameters: Parameters, task: Task, steps_ahead: int, *, is_prepared: bool
+    parameters: Parameters, moving: Station, steps_ahead: int, *, is_prepared: bool
 ) -> None:
-    station = Station(parameters, task).track(163)
     # The controller is delayed and counts no cycles; the clock goes on without it.
     for _ in range(steps_ahead):
-        station.cycle.on_missing(station.stamp_ns)
-        station.k += 1
+        moving.cycle.on_missing(moving.stamp_ns)
+        moving.k += 1
     if is_prepared:
-        station.feed()
-        station.cycle.prepare(station.stamp_ns)
-    before = len(station.commands)
-    pace = (np.array(station.axes) - np.array(station.commands[-2])) / parameters.cycle_s
-    station.exchange(feed=not is_prepared)
-    assert station.cycle.last is not None
-    entered = station.cycle.last.inputs
+        moving.feed()
+        moving.cycle.prepare(moving.stamp_ns)
+    before = len(moving.commands)
+    pace = (np.array(moving.axes) - np.array(moving.commands[-2])) / parameters.cycle_s
+    moving.exchange(feed=not is_prepared)
+    assert moving.cycle.last is not None
+    entered = moving.cycle.last.inputs
     assert not entered.sent
     assert entered.pace is not None
     assert entered.pace[0] == pytest.approx(pace, abs=1e-6)
     for _ in range(3):
-        station.exchange()
-    assert len(station.commands) == before + 4
-    commands, bounds = np.array(station.commands[before - 4 :]), parameters.controller.limits
+        moving.exchange()
+    assert len(moving.commands) == before + 4
+    commands, bounds = np.array(moving.commands[before - 4 :]), parameters.controller.limits
     speeds = np.diff(commands, axis=0) / parameters.cycle_s
     assert np.abs(speeds).max() > 0.1
     for limit in (bounds.acceleration, bounds.jerk):
@@ -473,39 +480,37 @@ def test_a_robot_that_moves_gets_no_step_that_took_it_for_one_that_holds(
 @pytest.mark.parametrize("is_prepared", [True, False])
 @pytest.mark.parametrize("lost", [True, False])
 def test_a_telegram_whose_step_the_clock_has_made_makes_no_other_one(
-    parameters: Parameters, task: Task, *, lost: bool, is_prepared: bool
+    parameters: Parameters, moving: Station, *, lost: bool, is_prepared: bool
 ) -> None:
-    station = Station(parameters, task).track(163)
-    ahead = station.cycle.steps - station.k
+    ahead = moving.cycle.steps - moving.k
     for _ in range(10):
-        station.exchange(lost=lost)
-        station.cycle.on_missing(station.stamp_ns)
+        moving.exchange(lost=lost)
+        moving.cycle.on_missing(moving.stamp_ns)
         if is_prepared:
-            station.feed()
-            station.k += 1
-            station.cycle.prepare(station.stamp_ns)
-            station.k -= 1
-        station.exchange(feed=False)
-    assert station.cycle.steps - station.k == ahead + is_prepared
-    assert station.cycle.repeated == (10 if lost else 0)
+            moving.feed()
+            moving.k += 1
+            moving.cycle.prepare(moving.stamp_ns)
+            moving.k -= 1
+        moving.exchange(feed=False)
+    assert moving.cycle.steps - moving.k == ahead + is_prepared
+    assert moving.cycle.repeated == (10 if lost else 0)
     bounds = parameters.controller.limits
-    speeds = np.diff(np.array(station.commands[-30:]), axis=0) / parameters.cycle_s
+    speeds = np.diff(np.array(moving.commands[-30:]), axis=0) / parameters.cycle_s
     assert (np.abs(speeds) <= bounds.speed * (1.0 + 1e-6)).all()
 
 
 @pytest.mark.parametrize("is_prepared", [True, False])
 def test_a_step_that_is_finished_once_more_replays_from_the_state_that_it_tells(
-    parameters: Parameters, task: Task, *, is_prepared: bool
+    parameters: Parameters, moving: Station, *, is_prepared: bool
 ) -> None:
-    station = Station(parameters, task).track(163)
-    station.cycle.take_log()
-    station.exchange(lost=True)
-    station.cycle.on_missing(station.stamp_ns)
+    moving.cycle.take_log()
+    moving.exchange(lost=True)
+    moving.cycle.on_missing(moving.stamp_ns)
     if is_prepared:
-        station.cycle.prepare(station.stamp_ns + PERIOD)
-    station.exchange()
-    station.exchange()
-    entries = station.cycle.take_log()
+        moving.cycle.prepare(moving.stamp_ns + PERIOD)
+    moving.exchange()
+    moving.exchange()
+    entries = moving.cycle.take_log()
     assert [e.inputs.k for e in entries].count(entries[1].inputs.k) == 2
     for entry in entries:
         assert entry.before is not None
@@ -517,27 +522,26 @@ def test_a_step_that_is_finished_once_more_replays_from_the_state_that_it_tells(
 
 @pytest.mark.parametrize("ahead", [1, 2])
 def test_a_reply_to_a_flipped_counter_moves_no_robot_and_neither_do_the_steps_after_it(
-    parameters: Parameters, task: Task, ahead: int
+    moving: Station, ahead: int
 ) -> None:
-    station = Station(parameters, task).track(163)
-    held = np.array(station.axes)
+    held = np.array(moving.axes)
     # One telegram's counter is flipped forward: it is answered as if cycles had been missed.
     # Those that follow seem late or repeated, and the clock sees to them.
-    flipped = station.telegram(ipoc=station.ipoc + ahead * station.step)
-    assert station.cycle.on_telegram(flipped, station.stamp_ns) is not None
+    flipped = moving.telegram(ipoc=moving.ipoc + ahead * moving.step)
+    assert moving.cycle.on_telegram(flipped, moving.stamp_ns) is not None
     for _ in range(ahead):
-        station.next()
-        station.delay += 1
-        assert station.cycle.on_telegram(station.telegram(), station.stamp_ns) is None
-        station.cycle.on_missing(station.stamp_ns)
-    station.next()
-    station.delay += 1
-    station.exchange()
-    assert station.cycle.last is not None
-    entered = station.cycle.last.inputs
+        moving.next()
+        moving.delay += 1
+        assert moving.cycle.on_telegram(moving.telegram(), moving.stamp_ns) is None
+        moving.cycle.on_missing(moving.stamp_ns)
+    moving.next()
+    moving.delay += 1
+    moving.exchange()
+    assert moving.cycle.last is not None
+    entered = moving.cycle.last.inputs
     assert (entered.sent, entered.pace) == (False, None)
     assert entered.applied == pytest.approx(held, abs=1e-9)
-    assert station.cycle.session.replies_lost == 1
+    assert moving.cycle.session.replies_lost == 1
 
 
 def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
