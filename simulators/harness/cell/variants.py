@@ -8,7 +8,7 @@ Invariants:
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.tracking.settings import ClassifierKind, MergeSettings, TrackingSettings
@@ -37,53 +37,29 @@ class UnknownVariantError(SetupError):
         self.name = name
 
 
-def _classified(kind: ClassifierKind, mixture: bool) -> Transformation:
-    def transform(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-        return replace(tracking, classifier=kind, mixture=mixture), control
-
-    return transform
+def _tracking(**changed: Any) -> Transformation:
+    return lambda tracking, control: (replace(tracking, **changed), control)
 
 
-def _default(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    return tracking, control
-
-
-def _no_prediction(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    return replace(tracking, predict=False), control
-
-
-def _no_feedforward(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    return tracking, replace(control, feed_forward=False)
-
-
-def _no_damping(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    return tracking, replace(control, damping=False)
-
-
-def _no_swing(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    return replace(tracking, swing=()), control
-
-
-def _no_blend(tracking: TrackingSettings, control: ControlSettings) -> Settings:
-    merge = MergeSettings(along=_AT_ONCE_S, across=_AT_ONCE_S, blend=_AT_ONCE_S)
-    return replace(tracking, merge=merge), control
+def _control(**changed: Any) -> Transformation:
+    return lambda tracking, control: (tracking, replace(control, **changed))
 
 
 ORACLE = "oracle"
 """The variant whose prediction is the plant's true future; ``foresight`` gives it."""
 
 VARIANTS: dict[str, Transformation] = {
-    ORACLE: _default,
-    "default": _default,
-    "bank": _classified(ClassifierKind.BANK, mixture=True),
-    "imm": _classified(ClassifierKind.IMM, mixture=True),
-    "rule": _classified(ClassifierKind.RULE, mixture=False),
-    "no-classes": _classified(ClassifierKind.NONE, mixture=False),
-    "no-prediction": _no_prediction,
-    "no-feedforward": _no_feedforward,
-    "no-damping": _no_damping,
-    "no-swing": _no_swing,
-    "no-blend": _no_blend,
+    ORACLE: _tracking(),
+    "default": _tracking(),
+    "bank": _tracking(classifier=ClassifierKind.BANK, mixture=True),
+    "imm": _tracking(classifier=ClassifierKind.IMM, mixture=True),
+    "rule": _tracking(classifier=ClassifierKind.RULE, mixture=False),
+    "no-classes": _tracking(classifier=ClassifierKind.NONE, mixture=False),
+    "no-prediction": _tracking(predict=False),
+    "no-feedforward": _control(feed_forward=False),
+    "no-damping": _control(damping=False),
+    "no-swing": _tracking(swing=()),
+    "no-blend": _tracking(merge=MergeSettings(*[_AT_ONCE_S] * 3)),
 }
 
 

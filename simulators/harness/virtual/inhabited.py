@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from typing import Any
+from unittest import mock
 
 import can
 import serialx
@@ -88,14 +89,10 @@ def inhabited(world: VirtualTime) -> Iterator[None]:
         # A DBC is parsed once a process: it takes longer than the second that is simulated.
         (distance_codec, "_load", _load_once),
     ]
-    kept = [(owner, name, vars(owner)[name]) for owner, name, _ in replaced]
-    try:
-        for owner, name, virtual in replaced:
-            setattr(owner, name, virtual)
+    with contextlib.ExitStack() as stack:
+        for each in replaced:
+            stack.enter_context(mock.patch.object(*each))
         yield
-    finally:
-        for owner, name, real in kept:
-            setattr(owner, name, real)
 
 
 _load_once = cache(distance_codec._load)  # noqa: SLF001 - pure, only slow

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, get_args
+from unittest import mock
 
 from msgspec import structs
 
@@ -181,10 +182,6 @@ def _camera_not_late() -> list[Patch]:
     return [(CameraDecoder, "feed", feed)]
 
 
-def _contact_never() -> list[Patch]:
-    return _facts(contact=lambda _: False)
-
-
 def _screws_anywhere() -> list[Patch]:
     """The task assumes contact as soon as the time has come."""
     whole = task_clock.elapsed
@@ -223,22 +220,16 @@ def _hold_goes_on() -> list[Patch]:
     return [(states, "order", order)]
 
 
-def _healthy() -> list[Patch]:
-    return _signals(link=Link.HEALTHY)
-
-
-def _position_never_stale() -> list[Patch]:
-    return _facts(position_ns=lambda f: f.stamp_ns, slower_ns=lambda f: f.stamp_ns)
-
-
 ERRORS: dict[str, Callable[[], list[Patch]]] = {
     "camera-30-mm-off": _camera_off,
     "distance-30-mm-off": _distance_off,
     "overload-never": _overload_never,
-    "position-never-stale": _position_never_stale,
+    "position-never-stale": lambda: _facts(
+        position_ns=lambda f: f.stamp_ns, slower_ns=lambda f: f.stamp_ns
+    ),
     "every-sample-believed": _every_sample_believed,
     "wrench-never-stale": lambda: _facts(wrench_ns=lambda f: f.stamp_ns),
-    "link-never-lost": _healthy,
+    "link-never-lost": lambda: _signals(link=Link.HEALTHY),
     "wrench-crc-unchecked": _crc_unchecked,
     "coasting-3-s": lambda: _settings(position_in_contact_s=COASTING_S, wrench_s=COASTING_S),
     "following-error-never": lambda: _facts(following_error=lambda _: False),
@@ -246,7 +237,7 @@ ERRORS: dict[str, Callable[[], list[Patch]]] = {
     "stops-dead": _stops_dead,
     "delay-ignored": _delay_ignored,
     "camera-not-late": _camera_not_late,
-    "contact-never": _contact_never,
+    "contact-never": lambda: _facts(contact=lambda _: False),
     "screws-anywhere": _screws_anywhere,
     "not-predicted": _not_predicted,
     "clamp-never-opens": _clamp_never_opens,
@@ -319,15 +310,10 @@ def hunt(name: str, seeds: range, cycle_ms: CycleMs = 12) -> Found:
 @contextlib.contextmanager
 def planted(name: str) -> Iterator[None]:
     """Let one error be in the daemon."""
-    patches = ERRORS[name]()
-    kept = [(owner, what, vars(owner)[what]) for owner, what, _ in patches]
-    try:
-        for owner, what, wrong in patches:
-            setattr(owner, what, wrong)
+    with contextlib.ExitStack() as stack:
+        for patch in ERRORS[name]():
+            stack.enter_context(mock.patch.object(*patch))
         yield
-    finally:
-        for owner, what, right in kept:
-            setattr(owner, what, right)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
