@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
@@ -124,6 +125,14 @@ def dead_time(cycle: Cycle) -> dict[str, float] | None:
     return {name: round(seconds * 1e3, 3) for name, seconds in shown.items()}
 
 
+def _weights(cycle: Cycle) -> tuple[float, float] | None:
+    """Return the payload's weight by the sensor, and as known [N]; None if nothing shows it."""
+    last = cycle.last
+    if last is None or last.after is None:
+        return None
+    return tare.shown_weight(last.after.tracker.tare, cycle.parameters.tracker.settings.tactile)
+
+
 def _is_at_a_bound(drift_ms: float, least_ms: float, most_ms: float) -> bool:
     """Return whether a drift may be larger than followed. One that may only grow begins at 0."""
     return drift_ms >= most_ms or (least_ms < 0.0 and drift_ms <= least_ms)
@@ -188,6 +197,12 @@ def _complaints(
         yield (
             f"the dead time has drifted by {drift['drift_ms']} ms, limit {drift['least_ms']} to "
             f"{drift['most_ms']} ms. Identify the servos again, or widen control.drift."
+        )
+    weights = _weights(snapshot.cycle)
+    if weights is not None and tare.is_misjudged(*weights):
+        yield (
+            f"the tool's payload weighs {weights[0]:.0f} N by the force-torque sensor, "
+            f"{weights[1]:.0f} N by tracking.payload.mass. Weigh it, or zero the sensor without it."
         )
     if snapshot.recorder is not None and snapshot.recorder.failure:
         yield f"recording ended: {snapshot.recorder.failure}"

@@ -15,6 +15,9 @@ from linemate.daemon.core.control import dead_time
 from linemate.daemon.core.control.dead_time import compile_drift
 from linemate.daemon.core.control.settings import ControlSettings, DeadTimeDrift
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.observation import Wrench
+from linemate.daemon.core.tracking.settings import PayloadSettings
+from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.cycle.states import Link, Machine, Signals, State
 from linemate.daemon.service import status
 from linemate.daemon.service.app import App
@@ -100,6 +103,20 @@ def test_a_dead_time_at_its_bound_is_a_complaint(
     found = app.status()
     assert found["dead_time"] == shown
     assert any("drifted by 110.0 ms" in text for text in found["complaints"]) is is_complaint
+
+
+@pytest.mark.parametrize(("shown", "is_complaint"), [(294.0, True), (100.0, True), (215.0, False)])
+def test_a_payload_that_weighs_other_than_configured_is_a_complaint(
+    app: App, shown: float, is_complaint: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = Wrench(np.array((shown, 0.0, 0.0)), np.zeros(3), 0, 1)
+    mount, payload = app.cycle.parameters.tracker.settings.tactile, PayloadSettings(mass=20.0)
+    hung = tare.updated(tare.NO_TARE, free, (1.0, 0.0, 0.0), payload, mount, 0.012)
+    after = SimpleNamespace(tracker=SimpleNamespace(tare=hung), control=SimpleNamespace(drift=None))
+    monkeypatch.setattr(app.cycle, "last", SimpleNamespace(after=after))
+    monkeypatch.setattr(status, "covered", lambda _: frozenset())
+    complaints = [*status._complaints(app._snapshot(), {"link": "healthy"}, {})]
+    assert any("196 N by tracking.payload.mass" in each for each in complaints) is is_complaint
 
 
 def test_the_drift_of_the_dead_time_is_that_of_the_last_step() -> None:

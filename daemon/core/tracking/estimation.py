@@ -177,7 +177,7 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         return state if later is state.tare else replace(state, tare=later)
     if state.contact and release.is_held_by_hub(tracker.reference.gated, state.passed, state.time):
         delay = tracker.compliance.delays[0] * tracker.cycle_s
-        later = tare.unloaded(state.tare, tracker.cycle_s, delay)
+        later = tare.unloaded(state.tare, tracker.settings.tactile, tracker.cycle_s, delay)
         return state if later is state.tare else replace(state, tare=later)
     near = tare.frozen_within(tracker.task.guard.clearance, tracker.settings.payload.bolts)
     is_free = state.started and not state.contact and -math.inf < state.distance < -near

@@ -137,17 +137,34 @@ def test_a_hub_takes_over_the_weight_that_would_throw_the_released_tool() -> Non
     """A wheel of 30 kg threw the tool 12 mm up along the hub."""
     state, steps = hung(wrench(HEAVY)), round((tare.UNLOADING_S + 0.15) / DT)
     for _ in range(steps):
-        state = tare.unloaded(state, DT, 0.1)
+        state = tare.unloaded(state, MOUNT, DT, 0.1)
     assert state.sag is not None
     left = float(np.linalg.norm(state.share * state.sag[:3]))
     assert left == pytest.approx(tare.LARGEST_SPRING, rel=1e-3)
     assert state.borne == pytest.approx(state.share, abs=1e-3)
 
 
+def test_a_hub_takes_over_a_weight_that_the_sensor_shows_beyond_the_configured() -> None:
+    """30 kg, of which 20 were configured, threw the released tool 12 mm up along the hub."""
+    state = hung(wrench(HEAVY), PayloadSettings(mass=20.0))
+    for _ in range(60):
+        state = tare.unloaded(state, MOUNT, DT, 0.1)
+    assert state.sag is not None
+    moved = (1.0 - state.share) * float(np.linalg.norm(state.sag[:3]))
+    left = HEAVY / MOUNT.stiffness[0] - moved
+    assert left == pytest.approx(tare.LARGEST_SPRING, rel=1e-3)
+
+
+@pytest.mark.parametrize("read", [wrench(0.0), wrench(215.0), wrench(-HEAVY), wrench(100.0, HEAVY)])
+def test_a_sensor_that_was_zeroed_or_is_off_adds_no_weight(read: Wrench) -> None:
+    state = hung(read, PayloadSettings(mass=20.0))
+    assert tare.unloaded(state, MOUNT, DT, 0.1) is state
+
+
 def test_the_weight_that_the_hub_has_taken_over_is_no_force_of_the_contact() -> None:
     state = hung(wrench(HEAVY))
     for _ in range(20):
-        state = tare.unloaded(state, DT, 0.1)
+        state = tare.unloaded(state, MOUNT, DT, 0.1)
     borne = state.borne * HEAVY
     assert 0.0 < borne < HEAVY
     assert tare.carried(state, MOUNT)[0] == pytest.approx(borne, rel=1e-6)
@@ -162,16 +179,16 @@ def test_the_weight_that_the_hub_has_taken_over_is_no_force_of_the_contact() -> 
 def test_the_mount_is_unloaded_after_the_target() -> None:
     state = hung(wrench(HEAVY))
     for _ in range(16):
-        state = tare.unloaded(state, DT, 0.1)
+        state = tare.unloaded(state, MOUNT, DT, 0.1)
         assert state.share <= state.borne
 
 
 def test_a_small_weight_stays_on_the_mount_and_a_released_one_goes_on_from_there() -> None:
     light = hung(wrench(190.0))
-    assert tare.unloaded(light, DT, 0.1) is light
+    assert tare.unloaded(light, MOUNT, DT, 0.1) is light
     state = hung(wrench(HEAVY))
     for _ in range(60):
-        state = tare.unloaded(state, DT, 0.1)
+        state = tare.unloaded(state, MOUNT, DT, 0.1)
     assert state.sag is not None
     off = tare.released(state, None, DT)
     assert off.sag is not None

@@ -8,6 +8,7 @@ Invariants:
 - Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
 - What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
   the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
+  A weight that the sensor shows counts there, if it is clearly more than the configured one.
 - After the release the reading of the empty tool is not known: a sensor that was zeroed with the
   wheel on shows its weight with the other sign then. An overload counts from the mean since.
 - A wrench that no free tool has does not enter.
@@ -32,6 +33,7 @@ GRAVITY = 9.80665  # [m/s^2]
 MEAN_S = 0.5  # time constant of the mean wrench [s]; the tool rings at 4 Hz or more
 LEAST_N = 1.5  # a smaller tare is noise, and is not taken off [N]
 WEIGHT_N = 30.0  # along gravity: less may be a bias of the sensor [N]
+MISJUDGED = 0.15  # share by which a payload weighs other than known
 SHARE = 0.8  # of a weight's force that is along gravity; a bias has any direction
 LARGEST_SAG = 0.1  # of the mount under a free tool: more is no weight [m, rad]
 UNLOADING_S = 0.4  # in which the hub takes weight over from the mount [s]
@@ -121,12 +123,17 @@ def _sag(
 
 def shows_weight(tare: Tare, mount: TactileNoise) -> bool:
     """Return whether the free tool's mean force was its weight: the sensor has the right sign."""
+    return shown_weight(tare, mount) is not None
+
+
+def shown_weight(tare: Tare, mount: TactileNoise) -> tuple[float, float] | None:
+    """Return the weight by the sensor and the known one [N], None if the sensor shows none."""
     if tare.wrench is None or tare.sag is None:
-        return False
+        return None
     force, weight = tare.wrench[:3], tare.sag[:3] * np.array(mount.stiffness)
-    size = float(np.linalg.norm(force))
+    size, known = float(np.linalg.norm(force)), float(np.linalg.norm(weight))
     along = float(force.dot(weight))
-    return size > WEIGHT_N and along > SHARE * size * float(np.linalg.norm(weight))
+    return (along / known, known) if size > WEIGHT_N and along > SHARE * size * known else None
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
@@ -145,7 +152,7 @@ def carried(tare: Tare, mount: TactileNoise) -> Vector3:
     return (x, y, z)
 
 
-def unloaded(tare: Tare, dt: float, delay: float) -> Tare:
+def unloaded(tare: Tare, mount: TactileNoise, dt: float, delay: float) -> Tare:
     """Return the tare one step later, while the hub takes over a part of a large weight.
 
     Args:
@@ -154,13 +161,28 @@ def unloaded(tare: Tare, dt: float, delay: float) -> Tare:
     if tare.sag is None:
         return tare
     size = float(np.linalg.norm(tare.sag[:3]))
-    if size <= LARGEST_SPRING:
+    spring = size * (1.0 + _unknown_share(tare, mount))
+    if spring <= LARGEST_SPRING:
         return tare
-    given = 1.0 - LARGEST_SPRING / size
+    given = min((spring - LARGEST_SPRING) / size, 1.0)
     lasted = 0.0 if tare.unloading is None else tare.unloading + dt
     share = 1.0 - given * smoothstep_at(lasted / UNLOADING_S)
     borne = 1.0 - given * smoothstep_at((lasted - delay) / UNLOADING_S)
     return replace(tare, unloading=lasted, share=share, borne=borne)
+
+
+def _unknown_share(tare: Tare, mount: TactileNoise) -> float:
+    """Return by what share the payload is heavier than known; 0 within a sensor's bias."""
+    shown = shown_weight(tare, mount)
+    if shown is None:
+        return 0.0
+    weight, known = shown
+    return weight / known - 1.0 if weight > known + WEIGHT_N else 0.0
+
+
+def is_misjudged(weight: float, known: float) -> bool:
+    """Return whether a weight by the sensor [N] is not the known one, by more than a bias."""
+    return abs(weight - known) > max(WEIGHT_N, MISJUDGED * known)
 
 
 def released(tare: Tare, wrench: Wrench | None, dt: float) -> Tare:
