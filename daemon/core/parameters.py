@@ -27,7 +27,13 @@ from linemate.daemon.core.tracking.reference import (
 from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
-from linemate.daemon.core.tracking.touch.touch_profile import bolt_tips, lengthened, sighted, slowed
+from linemate.daemon.core.tracking.touch.touch_profile import (
+    bolt_tips,
+    bolts_reach,
+    lengthened,
+    sighted,
+    slowed,
+)
 from linemate.daemon.core.tracking.touch.withdrawal import compile_withdrawal
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
 from linemate.daemon.core.tracking.transverse import Transverse
@@ -134,7 +140,8 @@ def build(
     mount = tracking.tactile
     tips = bolt_tips(tracking.payload.bolts, mount.stiffness[TOOL_AXIS], mount.overload_force)
     task = slowed(task, mount.stiffness[TOOL_AXIS], mount.overload_force)
-    task = lengthened(sighted(task, tracking.camera.blind_below + SIGHT_MARGIN), tips)
+    waits = max(tracking.camera.blind_below + SIGHT_MARGIN, bolts_reach(tips.length))
+    task = lengthened(sighted(task, waits), tips)
     reference = compile_reference(task, tips)
     tracker = _tracker(task, tracking, control_settings, controller, reference, cycle_s)
     home, _, _ = joints_at_rest(arm, task, reference)

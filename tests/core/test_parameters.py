@@ -11,7 +11,7 @@ from linemate.daemon.core.control.settings import ControlSettings, ServoModel
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
 from linemate.daemon.core.tracking.merge import ORDER
-from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.daemon.core.tracking.settings import ClassifierKind, PayloadSettings, TrackingSettings
 from linemate.daemon.core.tracking.task import PoseFile, TaskFile
 from linemate.simulators.harness.setup import shipped_control
 
@@ -128,6 +128,13 @@ def test_a_task_that_cannot_be_is_refused_with_its_reason() -> None:
     turned = replace(TASK.file.object, nominal=PoseFile((2.2, 0.0, 1.1), (0.0, 0.0, 0.0, 1.0)))
     with pytest.raises(ValueError, match="y axis"):
         built(task=replace(TASK.file, object=turned))
+
+
+@pytest.mark.parametrize(("bolts", "away"), [(0.025, 0.08), (0.09, 0.1)])
+def test_the_tool_waits_before_it_can_meet_the_tips_of_bolts(bolts: float, away: float) -> None:
+    tracking = replace(TrackingSettings(), payload=PayloadSettings(bolts=bolts))
+    task = built(tracking=tracking).tracker.task
+    assert task.waypoints[2].pose.position[2] == pytest.approx(-away)
 
 
 def test_without_prediction_the_tool_is_behind_the_object() -> None:

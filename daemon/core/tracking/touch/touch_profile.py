@@ -74,6 +74,15 @@ def bolt_tips(length: float, stiffness: float, overload: float) -> BoltTips:
     return BoltTips(length, TIPS_SHARE * overload / (stiffness * LED_S))
 
 
+def bolts_reach(length: float) -> float:
+    """Return the distance before the object from which on bolts' tips can be met slowly [m].
+
+    Args:
+        length: from the face [m]; 0 for none.
+    """
+    return length + 2.0 * TIPS_RESERVE if length > 0.0 else 0.0
+
+
 def force_limit(length: float, distance: float, overload: float) -> float:
     """Return the force beyond which a tool that has not touched the face is withdrawn [N].
 
@@ -152,7 +161,7 @@ def contact_stretch(task: TaskFile) -> int | None:
 
 def _parts(task: TaskFile, stretch: int, tips: BoltTips) -> _Parts | None:
     """Return the parts of the stretch to contact; None if it needs no bound."""
-    guard = task.guard
+    guard = _guard_from_tips(task.guard, tips)
     here, there = task.waypoints[stretch], task.waypoints[stretch + 1]
     near, far = there.pose.position[2], here.pose.position[2]
     speed, way = guard.touch_speed, near - far
@@ -174,6 +183,14 @@ def _parts(task: TaskFile, stretch: int, tips: BoltTips) -> _Parts | None:
         )
     shortest = max(math.sqrt(PEAK * first / ACCELERATION), BRAKING_S)
     return _Parts((first, *last.ways), (shortest, *last.times), (speed, *last.speeds))
+
+
+def _guard_from_tips(guard: GuardedApproach, tips: BoltTips) -> GuardedApproach:
+    """Return the guard of a mount that withstands less at the bolts' tips than at the touch."""
+    reach = tips.length + TIPS_RESERVE
+    if tips.length <= 0.0 or reach <= guard.clearance or tips.speed > guard.touch_speed:
+        return guard
+    return replace(guard, clearance=reach, touch_speed=tips.speed)
 
 
 def _tip_parts(guard: GuardedApproach, tips: BoltTips) -> _Parts:
