@@ -9,6 +9,7 @@ Invariants:
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -205,6 +206,7 @@ def _out_of_range(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[Comp
             yield Complaint(path, f"should be one of {', '.join(map(str, CYCLES_S))}, not {value}")
 
 
+@cache
 def _range(name: str) -> tuple[float | None, float | None]:
     """Lowest and highest value of a field, by its name."""
     if name in RANGES:

@@ -214,6 +214,7 @@ def identified(world: str = OWN) -> Setup:
     return laid_over(whole, overlays.load(overlays.SHIPPED[world]))
 
 
+@cache
 def _commissioned(scenario: str) -> Setup:
     """Settings of the cell of a scenario: those identified, and what its commissioning adds."""
     known, own = identified(), world_rows.daemon_settings(scenario)
