@@ -46,7 +46,6 @@ class Peak:
     margin: float
 
     def __str__(self) -> str:
-        """Return the line for an operator."""
         unit = "m" if self.name in {"tcp", "E1"} else "rad"
         text = f"{self.name}: at most {self.speed:.3f} {unit}/s at {self.at_s:.1f} s, "
         text += f"limit {self.limit:.3f}"

@@ -46,7 +46,6 @@ class FileError(Exception):
     """
 
     def __init__(self, lines: Sequence[str]) -> None:
-        """Keep the lines and print them."""
         super().__init__("\n".join(lines))
         self.lines = tuple(lines)
 

@@ -75,7 +75,6 @@ class Change(Struct, frozen=True):
     cause: str
 
     def __str__(self) -> str:
-        """Return the line for the journal."""
         return f"{self.before} -> {self.after}: {self.cause}"
 
 

@@ -98,7 +98,6 @@ class DamageReport:
     total: int | None = None
 
     def __str__(self) -> str:
-        """Return the sentence for an operator."""
         total = "an unknown number of" if self.total is None else str(self.total)
         return (
             f"damaged: {self.reason}. {self.read} of {total} steps were read. "

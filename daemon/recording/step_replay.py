@@ -69,7 +69,6 @@ class Overrides:
     values: Mapping[str, Any] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        """Return whether there are any."""
         return bool(self.sections or self.values)
 
     def over(self, settings: Settings) -> Settings:

@@ -57,7 +57,6 @@ class SensorChanges:
     """Sensors that come and go."""
 
     def __init__(self) -> None:
-        """Begin without sensors."""
         self._out_since_ns: dict[str, int | None] = {}
 
     def changes(

@@ -58,7 +58,6 @@ class FanucError(ControllerError):
     """
 
     def __init__(self, what: str, sequence: int | None = None) -> None:
-        """Keep the number."""
         super().__init__(what)
         self.sequence = sequence
 

@@ -44,7 +44,6 @@ class BotaDecoder(WrenchDecoder):
     __slots__ = ()
 
     def __init__(self) -> None:
-        """Begin with an empty buffer."""
         super().__init__(BOTA_HEADER, BOTA_FRAME_BYTES, fastcrc.crc16.ibm_sdlc)
 
     def feed(self, data: bytes, stamp_ns: int) -> list[WrenchSample]:
@@ -172,7 +171,6 @@ class BotaHost:
     )
 
     def __init__(self, settings: BotaSettings | None = None) -> None:
-        """Make the commands."""
         self._commands = (settings or BotaSettings()).commands()
         self._index = 0
         self._tail = b""

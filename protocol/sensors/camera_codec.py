@@ -37,7 +37,6 @@ class CameraError(ProtocolError):
     """
 
     def __init__(self, reason: str, what: str, data: bytes = b"") -> None:
-        """Make the message from the first bytes of the datagram."""
         super().__init__(f"camera: {what} ({len(data)} bytes: {data[:16].hex(' ') or '-'})")
         self.reason = reason
         self.data = data
@@ -207,7 +206,6 @@ class CameraDecoder:
         max_age_s: float = 1.0,
         max_sources: int = 8,
     ) -> None:
-        """Begin without a camera."""
         self._expected = (frame, obj, src)
         self._window_s = window_s
         self._max_age_ns = round(max_age_s * 1e9)

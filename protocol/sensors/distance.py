@@ -39,7 +39,6 @@ class DistanceError(ProtocolError):
     """
 
     def __init__(self, what: str, can_id: int | None = None, data: bytes = b"") -> None:
-        """Make the message from the identifier and the first bytes of the frame."""
         where = "" if can_id is None else f" (id 0x{can_id:X}, data {data[:16].hex(' ') or '-'})"
         super().__init__(f"distance: {what}{where}")
         self.can_id = can_id
@@ -211,7 +210,6 @@ class DistanceDecoder:
         can_id: int | None = None,
         step: float | None = None,
     ) -> None:
-        """Resolve the names in the DBC."""
         self._layout = layout = _layout(dbc, message, signal, strength, can_id, step)
         self._position = layout.position
         self._decode = layout.message.decode
@@ -305,7 +303,6 @@ class DistanceEncoder:
         can_id: int | None = None,
         step: float | None = None,
     ) -> None:
-        """Resolve the names in the DBC."""
         self._layout = _layout(dbc, message, signal, strength, can_id, step)
         self._blank: dict[str, float] = {s.name: 0 for s in self._layout.message.signals}
         self._blank.update(_selectors(self._layout.message, signal))

@@ -48,7 +48,6 @@ class EvenClock:
     )
 
     def __init__(self) -> None:
-        """Begin without a period."""
         self._arrivals: deque[int] = deque(maxlen=KEPT + 1)
         self._fresh = 0
         self._last_ns: int | None = None

@@ -39,7 +39,6 @@ class Robotiq300Decoder(WrenchDecoder):
     __slots__ = ()
 
     def __init__(self) -> None:
-        """Begin with an empty buffer."""
         super().__init__(FT300_HEADER, FT300_FRAME_BYTES, fastcrc.crc16.modbus)
 
     def checked(self, frame: bytes) -> bytes:
@@ -99,7 +98,6 @@ class Ft300Host:
     __slots__ = ("_attempts", "_deadline_ns", "_own_stream", "_tail", "failure", "running")
 
     def __init__(self) -> None:
-        """Begin before the first request."""
         self._tail = b""
         self._own_stream = Robotiq300Decoder()
         self._attempts = 0

@@ -39,7 +39,6 @@ class SlcanError(ProtocolError):
     """
 
     def __init__(self, what: str, line: bytes = b"", *, has_wrong_length: bool = False) -> None:
-        """Make the message from the first bytes of the line."""
         super().__init__(f"slcan: {what}: {line[:32]!r}")
         self.line = line
         self.has_wrong_length = has_wrong_length
@@ -191,7 +190,6 @@ class LineDecoder:
     __slots__ = ("_buffer", "overlong")
 
     def __init__(self) -> None:
-        """Begin with an empty line."""
         self._buffer = b""
         self.overlong = 0
 
@@ -221,7 +219,6 @@ class CommandDecoder:
     __slots__ = ("_lines", "invalid")
 
     def __init__(self) -> None:
-        """Begin with an empty line."""
         self._lines = LineDecoder()
         self.invalid = 0
 

@@ -119,7 +119,6 @@ class DeviceSchedule:
         entry[2] = None
 
     def __len__(self) -> int:
-        """How many actions are still to be done."""
         return sum(entry[2] is not None for entry in self._queue)
 
     def _rearm(self) -> None:

@@ -92,7 +92,6 @@ class TruthLog:
         self.dropped = 0
 
     def __len__(self) -> int:
-        """Number of complete rows."""
         return self._count
 
     def begin(self, world: EmulatedWorld, axes: Seven) -> None:

@@ -27,7 +27,6 @@ class TurnAround:
     _values: "array[int]" = field(default_factory=lambda: array("q"))
 
     def __len__(self) -> int:
-        """How many values are kept."""
         return len(self._values)
 
     def add(self, elapsed_ns: int) -> None:

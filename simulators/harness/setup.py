@@ -40,7 +40,6 @@ class OverrideError(SetupError):
     """A ``--set KEY=VALUE`` that cannot be applied."""
 
     def __init__(self, key: str, what: str) -> None:
-        """Keep the key and print it."""
         super().__init__(f"--set {key}: {what}")
         self.key = key
 

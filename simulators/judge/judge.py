@@ -78,7 +78,6 @@ class StateChange:
     cause: str
 
     def __str__(self) -> str:
-        """Return the daemon's own line."""
         return f"{self.before} -> {self.after}: {self.cause}"
 
 

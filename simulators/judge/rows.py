@@ -116,7 +116,6 @@ class Rows:
     events: tuple[DaemonEvent, ...] = ()
 
     def __len__(self) -> int:
-        """Number of telegrams."""
         return len(self.t)
 
     def judged_tcp(self) -> Floats:

@@ -70,7 +70,6 @@ class PlcUserManager(UserManager):  # type: ignore[misc]
     """Maps a name and a password to a role: operate is asyncua's admin, view its user."""
 
     def __init__(self, users: Mapping[str, PlcUser]) -> None:
-        """Keep the users by name."""
         self._users = users
 
     def get_user(

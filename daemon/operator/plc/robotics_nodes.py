@@ -25,7 +25,6 @@ class RoboticsNodes:
     """The nodes of one daemon."""
 
     def __init__(self) -> None:
-        """Begin without nodes."""
         self._variables: dict[str, Any] = {}
         self._axes: list[Any] = []
         self._written = RoboticsValues()

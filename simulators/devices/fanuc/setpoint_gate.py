@@ -29,7 +29,6 @@ class SetpointGate:
     def __init__(
         self, position: Sequence[float], limits: Sequence[AxisLimit], cycle_s: float
     ) -> None:
-        """Begin at rest at a position."""
         self.position = tuple(position)
         self.speed = self.acceleration = (0.0,) * len(self.position)
         self._limits = tuple(limits)

@@ -32,7 +32,6 @@ class UnknownVariantError(SetupError):
     """No such variant."""
 
     def __init__(self, name: str) -> None:
-        """Keep the message, with the known variants."""
         super().__init__(f"no variant {name!r}; there are {', '.join(known())}")
         self.name = name
 

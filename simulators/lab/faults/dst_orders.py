@@ -26,7 +26,6 @@ class CommandWire:
     """Clients of one daemon's command server, one a key."""
 
     def __init__(self) -> None:
-        """Begin without a session."""
         self._app: App | None = None
         self._clients: dict[str, CommandClient] = {}
         self._sessions = 0

@@ -24,7 +24,6 @@ class LineController:
     """
 
     def __init__(self) -> None:
-        """Begin without a session."""
         self.refusals: list[str] = []
         self.acknowledged = 0
         self.orders: dict[str, int] = {}
