@@ -16,11 +16,10 @@ from dataclasses import dataclass, replace
 import fastcrc
 
 from linemate.protocol.sensors.wrench_stream import (
-    SILENT_ATTEMPTS,
-    SILENT_FRAMES,
     HostOutput,
     WrenchDecoder,
     WrenchError,
+    WrenchHost,
 )
 from linemate.protocol.stamped_samples import WrenchSample
 
@@ -143,49 +142,18 @@ def _command(letter: str, values: Sequence[int]) -> bytes:
 _ANSWER = re.compile(rb"r,0,([A-Za-z]),(\d{1,3})")
 _LONGEST_ANSWER = 16
 ANSWER_TIMEOUT_NS = 500_000_000  # without an answer the dialogue starts again
-MAX_ATTEMPTS = 10  # a booting sensor ignores the first ones
 
 
-class BotaHost:
-    """Host's side of the start-up dialogue; afterwards it passes the stream through.
+class BotaHost(WrenchHost):
+    """Host's side of the start-up dialogue: the device confirms every setting, then runs."""
 
-    Call :meth:`begin` once, then :meth:`feed` with everything received and :meth:`on_time`
-    regularly. The sensor may be booting, streaming, or within another dialogue.
-
-    Attributes:
-        running: the device has confirmed every setting and streams, or streams with its former
-            settings without answering.
-        failure: why the dialogue has failed, or None.
-    """
-
-    __slots__ = (
-        "_attempts",
-        "_commands",
-        "_deadline_ns",
-        "_index",
-        "_own_stream",
-        "_tail",
-        "_trimming",
-        "failure",
-        "running",
-    )
+    __slots__ = ("_commands", "_index", "_trimming")
 
     def __init__(self, settings: BotaSettings | None = None) -> None:
+        super().__init__(BotaDecoder, ANSWER_TIMEOUT_NS)
         self._commands = (settings or BotaSettings()).commands()
         self._index = 0
-        self._tail = b""
-        self._own_stream = BotaDecoder()
-        self._attempts = 0
-        self._deadline_ns = 0
         self._trimming = True
-        self.running = False
-        self.failure: str | None = None
-
-    def begin(self, now_ns: int) -> HostOutput:
-        """Request configuration mode, whatever the device does."""
-        self.running, self.failure = False, None
-        self._attempts = 0
-        return self._restart(now_ns)
 
     def feed(self, data: bytes, now_ns: int) -> HostOutput:
         """Process what the port received: answers, banners and old frames, later the stream."""
@@ -193,8 +161,7 @@ class BotaHost:
             return HostOutput(stream=self._trimmed(data))
         if self.failure is not None:
             return HostOutput()
-        self._own_stream.feed(data, now_ns)
-        if self._attempts >= SILENT_ATTEMPTS and self._own_stream.frames >= SILENT_FRAMES:
+        if self._streams_unasked(data, now_ns):
             self.running, self._trimming = True, False
             return HostOutput(stream=data)
         sent = b""
@@ -210,24 +177,13 @@ class BotaHost:
         stream = self._trimmed(rest) if self.running else b""
         return HostOutput(send=sent, stream=stream)
 
-    def on_time(self, now_ns: int) -> HostOutput:
-        """Begin again when an answer is overdue; fail after ``MAX_ATTEMPTS``."""
-        if self.running or self.failure is not None or now_ns < self._deadline_ns:
-            return HostOutput()
-        if self._attempts >= MAX_ATTEMPTS:
-            expected = self._commands[self._index].decode()
-            self.failure = f"bota: no answer to {expected!r} after {self._attempts} attempts"
-            return HostOutput()
-        return self._restart(now_ns)
-
-    def _restart(self, now_ns: int) -> HostOutput:
+    def _request(self) -> bytes:
         self._index = 0
-        self._tail = b""
-        self._own_stream = BotaDecoder()
         self._trimming = True
-        self._attempts += 1
-        self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS
-        return HostOutput(send=self._commands[0])
+        return self._commands[0]
+
+    def _unanswered(self) -> str:
+        return f"bota: no answer to {self._commands[self._index].decode()!r}"
 
     def _on_answer(self, answer: re.Match[bytes], now_ns: int) -> bytes:
         """Continue after the expected answer; ignore one to an older command."""

@@ -14,11 +14,10 @@ from collections.abc import Sequence
 import fastcrc
 
 from linemate.protocol.sensors.wrench_stream import (
-    SILENT_ATTEMPTS,
-    SILENT_FRAMES,
     HostOutput,
     WrenchDecoder,
     WrenchError,
+    WrenchHost,
 )
 from linemate.protocol.stamped_samples import WrenchSample
 
@@ -84,32 +83,15 @@ FT300_START = _checked(bytes.fromhex("0910019a0001020200"))
 FT300_STARTED = _checked(bytes.fromhex("0910019a0001"))
 
 ANSWER_TIMEOUT_NS = 700_000_000  # includes the time of the 50 bytes on the line
-MAX_ATTEMPTS = 10
 
 
-class Ft300Host:
-    """Host's side of the start: stop a stream, start a new one, pass it through.
+class Ft300Host(WrenchHost):
+    """Host's side of the start: stop a stream, start a new one, pass it through."""
 
-    Attributes:
-        running: the device has confirmed and streams, or streams without answering.
-        failure: why the start has failed, or None.
-    """
-
-    __slots__ = ("_attempts", "_deadline_ns", "_own_stream", "_tail", "failure", "running")
+    __slots__ = ()
 
     def __init__(self) -> None:
-        self._tail = b""
-        self._own_stream = Robotiq300Decoder()
-        self._attempts = 0
-        self._deadline_ns = 0
-        self.running = False
-        self.failure: str | None = None
-
-    def begin(self, now_ns: int) -> HostOutput:
-        """Stop an old stream and request a new one."""
-        self.running, self.failure = False, None
-        self._attempts = 0
-        return self._restart(now_ns)
+        super().__init__(Robotiq300Decoder, ANSWER_TIMEOUT_NS)
 
     def feed(self, data: bytes, now_ns: int) -> HostOutput:
         """Process what the port received: rest of an old stream, the answer, the stream."""
@@ -120,8 +102,7 @@ class Ft300Host:
         received = self._tail + data
         _, answer, stream = received.partition(FT300_STARTED)
         if not answer:
-            self._own_stream.feed(data, now_ns)
-            if self._attempts >= SILENT_ATTEMPTS and self._own_stream.frames >= SILENT_FRAMES:
+            if self._streams_unasked(data, now_ns):
                 self.running = True
                 return HostOutput(stream=data)
             self._tail = received[-(len(FT300_STARTED) - 1) :]
@@ -130,21 +111,11 @@ class Ft300Host:
         self.running = True
         return HostOutput(stream=stream)
 
-    def on_time(self, now_ns: int) -> HostOutput:
-        """Request again when the answer is overdue; fail after ``MAX_ATTEMPTS``."""
-        if self.running or self.failure is not None or now_ns < self._deadline_ns:
-            return HostOutput()
-        if self._attempts >= MAX_ATTEMPTS:
-            self.failure = f"ft300: no answer after {self._attempts} attempts"
-            return HostOutput()
-        return self._restart(now_ns)
+    def _request(self) -> bytes:
+        return FT300_STOP + FT300_START
 
-    def _restart(self, now_ns: int) -> HostOutput:
-        self._tail = b""
-        self._own_stream = Robotiq300Decoder()
-        self._attempts += 1
-        self._deadline_ns = now_ns + ANSWER_TIMEOUT_NS
-        return HostOutput(send=FT300_STOP + FT300_START)
+    def _unanswered(self) -> str:
+        return "ft300: no answer"
 
 
 class Ft300Device:

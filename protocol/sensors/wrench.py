@@ -20,7 +20,12 @@ from linemate.protocol.sensors.ft300 import (
     Robotiq300Decoder,
     ft300_frame,
 )
-from linemate.protocol.sensors.wrench_stream import HostOutput, WrenchDecoder, WrenchError
+from linemate.protocol.sensors.wrench_stream import (
+    HostOutput,
+    WrenchDecoder,
+    WrenchError,
+    WrenchHost,
+)
 
 __all__ = [
     "BAUD_RATES",
@@ -44,27 +49,6 @@ __all__ = [
     "make_device",
     "make_host",
 ]
-
-
-class WrenchHost(Protocol):
-    """Host's side of a start-up dialogue, without I/O.
-
-    Attributes:
-        running: the device streams; all bytes are for the decoder.
-        failure: why the dialogue has failed, or None.
-    """
-
-    running: bool
-    failure: str | None
-
-    def begin(self, now_ns: int) -> HostOutput:
-        """Start the dialogue, whatever the device does."""
-
-    def feed(self, data: bytes, now_ns: int) -> HostOutput:
-        """Process what the port received; afterwards pass the stream through."""
-
-    def on_time(self, now_ns: int) -> HostOutput:
-        """Repeat overdue requests; fail after the last attempt."""
 
 
 class WrenchDevice(Protocol):

@@ -1,4 +1,4 @@
-"""Base of the force-torque decoders: find frames in a serial byte stream.
+"""Bases of the force-torque devices: find frames in a byte stream, start it by a dialogue.
 
 Invariants:
     Bytes may be cut anywhere. The samples are whole, checked and finite.
@@ -34,6 +34,7 @@ class HostOutput(Struct, frozen=True):
 # After so many requests without an answer and so many good frames since the last one, the device
 # streams by itself: the converter passes one direction only, or it is a sender of bare frames.
 SILENT_ATTEMPTS, SILENT_FRAMES = 3, 5
+MAX_ATTEMPTS = 10  # a booting sensor ignores the first ones
 
 
 class WrenchDecoder(ABC):
@@ -163,3 +164,80 @@ class WrenchDecoder(ABC):
         if not rest or self._header.startswith(rest):
             return position
         return self._next_header(buffer, position)
+
+
+class WrenchHost(ABC):
+    """Host's side of a start-up dialogue, without I/O; afterwards it passes the stream through.
+
+    Call :meth:`begin` once, then :meth:`feed` with everything received and :meth:`on_time`
+    regularly. The sensor may be booting, streaming, or within another dialogue.
+
+    Attributes:
+        running: the device streams, as requested or without answering.
+        failure: why the dialogue has failed, or None.
+    """
+
+    __slots__ = (
+        "_attempts",
+        "_deadline_ns",
+        "_decoder",
+        "_own_stream",
+        "_tail",
+        "_timeout_ns",
+        "failure",
+        "running",
+    )
+
+    def __init__(self, decoder: Callable[[], WrenchDecoder], timeout_ns: int) -> None:
+        """Begin before the first request.
+
+        Args:
+            decoder: of the device's own stream.
+            timeout_ns: without an answer for so long the dialogue starts again [ns].
+        """
+        self._decoder, self._timeout_ns = decoder, timeout_ns
+        self._own_stream = decoder()
+        self._tail = b""
+        self._attempts = 0
+        self._deadline_ns = 0
+        self.running = False
+        self.failure: str | None = None
+
+    def begin(self, now_ns: int) -> HostOutput:
+        """Start the dialogue, whatever the device does."""
+        self.running, self.failure = False, None
+        self._attempts = 0
+        return self._restart(now_ns)
+
+    @abstractmethod
+    def feed(self, data: bytes, now_ns: int) -> HostOutput:
+        """Process what the port received: answers and an old stream, later the stream."""
+
+    def on_time(self, now_ns: int) -> HostOutput:
+        """Begin again when an answer is overdue; fail after ``MAX_ATTEMPTS``."""
+        if self.running or self.failure is not None or now_ns < self._deadline_ns:
+            return HostOutput()
+        if self._attempts >= MAX_ATTEMPTS:
+            self.failure = f"{self._unanswered()} after {self._attempts} attempts"
+            return HostOutput()
+        return self._restart(now_ns)
+
+    @abstractmethod
+    def _request(self) -> bytes:
+        """Return the first request of a dialogue that begins."""
+
+    @abstractmethod
+    def _unanswered(self) -> str:
+        """Return which answer is overdue."""
+
+    def _restart(self, now_ns: int) -> HostOutput:
+        self._tail = b""
+        self._own_stream = self._decoder()
+        self._attempts += 1
+        self._deadline_ns = now_ns + self._timeout_ns
+        return HostOutput(send=self._request())
+
+    def _streams_unasked(self, data: bytes, now_ns: int) -> bool:
+        """Return whether requests stay unanswered while good frames come."""
+        self._own_stream.feed(data, now_ns)
+        return self._attempts >= SILENT_ATTEMPTS and self._own_stream.frames >= SILENT_FRAMES

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from linemate.protocol.sensors.bota import ANSWER_TIMEOUT_NS, MAX_ATTEMPTS, STATUS_OVERRANGE
+from linemate.protocol.sensors.bota import ANSWER_TIMEOUT_NS, STATUS_OVERRANGE
 from linemate.protocol.sensors.ft300 import FT300_START, FT300_STARTED, FT300_STOP
 from linemate.protocol.sensors.wrench import (
     BAUD_RATES,
@@ -31,7 +31,7 @@ from linemate.protocol.sensors.wrench import (
     make_device,
     make_host,
 )
-from linemate.protocol.sensors.wrench_stream import SILENT_ATTEMPTS, SILENT_FRAMES
+from linemate.protocol.sensors.wrench_stream import MAX_ATTEMPTS, SILENT_ATTEMPTS, SILENT_FRAMES
 from linemate.protocol.stamped_samples import WrenchSample
 
 BOTA_HEX = "aa 0200 0000803f 00000040 00004040 00008040 0000a040 0000c040 4d000000 0000c841 6359"
