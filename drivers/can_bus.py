@@ -17,7 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import can
 
@@ -45,7 +45,6 @@ SERIAL_PORT = "serialPortOrig"  # attribute of python-can's slcan bus that holds
 log = logging.getLogger(__name__)
 
 OnDistance = Callable[[DistanceSample], None]
-Path = Literal["auto", "descriptor", "thread"]
 Received = tuple[can.Message, int]
 
 
@@ -74,15 +73,12 @@ class CanLink(KeptLink):
         decoder: CanDecoder,
         on_sample: OnDistance,
         *,
-        name: str = "distance",
-        path: Path = "auto",
         backoff: Backoff | None = None,
     ) -> None:
-        super().__init__(name, backoff)
+        super().__init__("distance", backoff)
         self._config = _with_defaults(can_config)
         self._decoder = decoder
         self._on_sample = on_sample
-        self._path = path
         self._clock = ArrivalClock()
         self._empty_wakes = 0
 
@@ -95,7 +91,7 @@ class CanLink(KeptLink):
             self.status.mark_up()
             self._clock = ArrivalClock()
             self._empty_wakes = 0
-            descriptor = _descriptor(bus) if self._path != "thread" else None
+            descriptor = _descriptor(bus)
             if descriptor is not None:
                 return await self._watch(bus, descriptor)
             return await self._read_in_thread(bus)

@@ -48,11 +48,10 @@ class SerialLink(KeptLink):
         *,
         baudrate: int = 460_800,
         host: Callable[[], WrenchHost] | None = None,
-        name: str = "force_torque",
         silence_s: float = SILENCE_S,
         backoff: Backoff | None = None,
     ) -> None:
-        super().__init__(name, backoff)
+        super().__init__("force_torque", backoff)
         self._url = url
         self._baudrate = baudrate
         self._decoder = decoder

@@ -109,11 +109,11 @@ def find_postures(
     return postures
 
 
-def distinct(postures: Sequence[StandingPosture], limit: float = SAME) -> list[StandingPosture]:
+def distinct(postures: Sequence[StandingPosture]) -> list[StandingPosture]:
     """Return the postures without those at which the robot stood before."""
     kept: list[StandingPosture] = []
     for posture in postures:
-        if all(float(np.abs(posture.joints - other.joints).max()) > limit for other in kept):
+        if all(float(np.abs(posture.joints - other.joints).max()) > SAME for other in kept):
             kept.append(posture)
     return kept
 

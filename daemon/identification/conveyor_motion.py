@@ -8,6 +8,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.trace import Mask
 
 WINDOW = 0.15  # of distance readings to either side of an exposure [s]
+REACH = 3  # neighbours on either side
 JUMP = 0.015  # distance of an outlier from the median of its neighbours [m]
 LEAST_READINGS = 6
 JERK_DENSITY = 0.2  # of the conveyor, as white noise [m^2/s^5]
@@ -48,11 +49,11 @@ def _smooth(readings: Array) -> Array:
     return smoothed
 
 
-def find_outliers(readings: Array, reach: int = 3, jump: float = JUMP) -> Mask:
+def find_outliers(readings: Array) -> Mask:
     """Return which readings (n,) lie far from the median of their neighbours."""
-    if len(readings) < 2 * reach + 1:
+    if len(readings) < 2 * REACH + 1:
         return np.zeros(len(readings), dtype=bool)
-    padded = np.pad(readings, reach, mode="edge")
-    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
-    far: Mask = np.abs(readings - np.median(windows, axis=1)) > jump
+    padded = np.pad(readings, REACH, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * REACH + 1)
+    far: Mask = np.abs(readings - np.median(windows, axis=1)) > JUMP
     return far

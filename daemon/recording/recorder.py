@@ -238,9 +238,7 @@ class Recorder:
         if self._calls % RECEIVE_EVERY == 0:
             self._receive()
 
-    def write_line(
-        self, stamp_ns: int, text: str, level: int = INFO, name: str = "linemated"
-    ) -> None:
+    def write_line(self, stamp_ns: int, text: str, name: str = "linemated") -> None:
         """Record a log line.
 
         Args:
@@ -248,7 +246,7 @@ class Recorder:
             name: name of the writer, format.STATE_LOG for changes of the operating state.
         """
         if self._status.recording:
-            self._enqueue(Item(ItemKind.LINE, stamp_ns, (text, level, name)))
+            self._enqueue(Item(ItemKind.LINE, stamp_ns, (text, INFO, name)))
 
     def note_change(self, parameters: Parameters, who: str, changed: Mapping[str, Any]) -> None:
         """Note who set parameters, for the first step that uses them.

@@ -56,7 +56,6 @@ class CommandPort:
         handle: carries out an order; synchronous and quick.
         telemetry: returns what subscribers are sent.
         local, udp: endpoints, None for none.
-        secret: returns 32 random bytes.
 
     Attributes:
         counters: messages by what became of them.
@@ -69,7 +68,6 @@ class CommandPort:
         local: LocalEndpoint | None = None,
         udp: UdpEndpoint | None = None,
         now_ns: Callable[[], int] = time.monotonic_ns,
-        secret: Callable[[], bytes] = lambda: os.urandom(32),
     ) -> None:
         self._handle = handle
         self._telemetry = telemetry
@@ -77,7 +75,7 @@ class CommandPort:
         self._udp = udp
         self._now_ns = now_ns
         self._lease = ControlLease()
-        self._server = CommandServer(udp.keys if udp else (), secret, self._lease)
+        self._server = CommandServer(udp.keys if udp else (), lambda: os.urandom(32), self._lease)
         self.counters: Counter[str] = self._server.counters
         self._listener: socket.socket | None = None
         self._datagrams: socket.socket | None = None

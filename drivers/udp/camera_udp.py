@@ -12,7 +12,6 @@ import logging
 from collections.abc import Callable
 from typing import Protocol
 
-from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramSocket
 from linemate.drivers.udp.camera_peer import TAKEOVER_S, CameraPeer, SenderRole
 from linemate.drivers.udp.datagram_link import DatagramLink
@@ -56,24 +55,20 @@ class CameraLink(DatagramLink):
         port: int = 0,
         *,
         peer: Peer | None = None,
-        name: str = "camera",
-        budget: int = BUDGET,
-        backoff: Backoff | None = None,
     ) -> None:
-        super().__init__(name, host, port, backoff)
+        super().__init__("camera", host, port)
         self._fresh = copy.deepcopy(decoder)  # initial state of each further sender's decoder
         self._decoder = decoder
         self._decoders: dict[Address, PoseDecoder] = {}
         self._peer = CameraPeer(peer, IN_A_ROW)
         self._warned_ns: int | None = None
         self._on_sample = on_sample
-        self._budget = budget
         self._sole_sender = SoleSender(
             SILENCE_S, IN_A_ROW, lambda: self.status.last_sample_stamp_ns
         )
 
     def _read(self, transport: DatagramSocket) -> None:
-        for _ in range(self._budget):
+        for _ in range(BUDGET):
             datagram = transport.read()
             if datagram is None:
                 break

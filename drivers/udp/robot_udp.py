@@ -71,7 +71,6 @@ class RobotLink(DatagramLink):
         ready_reply: Callable[[], ReadyReply | None] = lambda: None,
         on_open: Callable[[int], None] = lambda _: None,
         newest_acts: bool = False,
-        name: str = "robot",
         backoff: Backoff | None = None,
     ) -> None:
         """Wait for ``open``.
@@ -79,7 +78,7 @@ class RobotLink(DatagramLink):
         Args:
             newest_acts: a late reply acts as well, so no telegram of the past may be answered.
         """
-        super().__init__(name, host, port, backoff)
+        super().__init__("robot", host, port, backoff)
         self.turnaround_ns: int | None = None
         self._on_telegram = on_telegram
         self._ready_reply = ready_reply

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from linemate.drivers.backoff import Backoff
 from linemate.drivers.datagrams import Address, Datagram, DatagramSocket
 from linemate.drivers.udp.robot_udp import OnTelegram, RobotLink
 from linemate.protocol.controller_link import Handshake, ReadyReply
@@ -38,8 +37,6 @@ class StreamLink(RobotLink):
         ready_reply: Callable[[], ReadyReply | None] = lambda: None,
         on_open: Callable[[int], None] = lambda _: None,
         on_start: Callable[[], None] = lambda: None,
-        name: str = "robot",
-        backoff: Backoff | None = None,
     ) -> None:
         """Prepare the link; ``open`` opens the socket.
 
@@ -47,15 +44,7 @@ class StreamLink(RobotLink):
             target: the controller's numeric address and port.
             on_start: called when a stream begins; its counter may begin anywhere.
         """
-        super().__init__(
-            on_telegram,
-            host,
-            port,
-            ready_reply=ready_reply,
-            on_open=on_open,
-            name=name,
-            backoff=backoff,
-        )
+        super().__init__(on_telegram, host, port, ready_reply=ready_reply, on_open=on_open)
         self._target = target
         self._handshake = handshake
         self._on_start = on_start

@@ -54,6 +54,7 @@ def _rotary(
     return AxisLimit(low, high, speed, acceleration, jerk)
 
 
+KEPT = 32  # violations that are kept as evidence
 LIMITS: tuple[AxisLimit, ...] = (
     _rotary(-185.0, 185.0, 105.0, 40.0, 15_000.0),
     _rotary(-140.0, -5.0, 101.0, 40.0, 15_000.0),
@@ -88,22 +89,11 @@ class LimitJudge:
 
     A cycle's setpoints are only put down; they are judged many at once, when somebody asks or
     when there are enough of them.
-
-    Attributes:
-        cycle_s: the controller's cycle [s].
-        keep: how many violations are kept as evidence.
     """
 
-    def __init__(
-        self, cycle_s: float, limits: tuple[AxisLimit, ...] = LIMITS, keep: int = 32
-    ) -> None:
-        """Begin before the first setpoint.
-
-        Args:
-            cycle_s: the controller's cycle [s].
-            keep: how many violations are kept as evidence.
-        """
-        self.cycle_s, self.limits, self.keep = cycle_s, limits, keep
+    def __init__(self, cycle_s: float, limits: tuple[AxisLimit, ...] = LIMITS) -> None:
+        """Begin before the first setpoint."""
+        self.cycle_s, self.limits = cycle_s, limits
         self._counts: Counter[str] = Counter()
         self._worst: dict[str, float] = {}
         self._evidence: list[Violation] = []
@@ -213,7 +203,7 @@ class LimitJudge:
         for cycle, axis, kind in np.argwhere(beyond.transpose(1, 2, 0)).tolist():
             name, value = KINDS[kind], float(excesses[kind, cycle, axis])
             self._counts[name] += 1
-            if len(self._evidence) < self.keep:
+            if len(self._evidence) < KEPT:
                 self._evidence.append(
                     Violation(
                         self._cycle + cycle + 1, axis, name, value, self._limit(axis, kind, value)

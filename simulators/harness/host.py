@@ -47,10 +47,13 @@ def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
         return None
 
 
-def resident_bytes(statm: Path = Path("/proc/self/statm")) -> int:
+def resident_bytes() -> int:
     """Return the memory of this process that is in use [bytes], 0 if it is not known."""
     try:
-        return int(statm.read_text(encoding="ascii").split()[1]) * resource.getpagesize()
+        return (
+            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+            * resource.getpagesize()
+        )
     except (OSError, ValueError, IndexError):
         return 0
 

@@ -93,7 +93,7 @@ def rest_of(task: Task) -> Seven:
     return seven((*task.file.arm.rest_joints, 0.0))
 
 
-def looking_postures(count: int = 18, tilt: float = TILT, task: Task | None = None) -> list[Seven]:
+def looking_postures(count: int = 18, task: Task | None = None) -> list[Seven]:
     """Return postures before the object that turn the tool about all axes.
 
     Args:
@@ -103,7 +103,7 @@ def looking_postures(count: int = 18, tilt: float = TILT, task: Task | None = No
     first, nominal = task.file.waypoints[0].pose.position, task.file.object.nominal.position
     scale = round(math.dist(first, nominal) / STANDOFF, 9)
     turns = [
-        (tilt * math.cos(2.4 * i), tilt * math.sin(2.4 * i), tilt * math.sin(1.1 * i + 0.3))
+        (TILT * math.cos(2.4 * i), TILT * math.sin(2.4 * i), TILT * math.sin(1.1 * i + 0.3))
         for i in range(count)
     ]
     places = [

@@ -153,9 +153,9 @@ class Servos:
 class TwoBodies:
     """The loop, cycle by cycle."""
 
-    def __init__(self, cell: TwoBodyCell, seed: int = 0) -> None:
+    def __init__(self, cell: TwoBodyCell) -> None:
         self.cell, self._parameters = cell, _parameters(cell, identified())
-        self.noise = np.random.default_rng(seed)
+        self.noise = np.random.default_rng(0)
         self._arm = self._parameters.controller.arm
         self._nominal = self._parameters.tracker.reference.nominal
         joints = np.array((*self._parameters.tracker.task.arm.rest_joints, 0.0))

@@ -58,10 +58,10 @@ class UrdfJoint:
     axis: str
 
 
-def read_urdf(path: Path = URDF) -> tuple[list[UrdfJoint], UrdfJoint]:
+def read_urdf() -> tuple[list[UrdfJoint], UrdfJoint]:
     """Return the joints of E1, A1..A6 in order, and the fixed joint of the flange."""
     joints = {}
-    for element in ET.parse(path).getroot().iter("joint"):  # noqa: S314 - a file of our own
+    for element in ET.parse(URDF).getroot().iter("joint"):  # noqa: S314 - a file of our own
         origin, axis = element.find("origin"), element.find("axis")
         name = str(element.get("name"))
         joints[name] = UrdfJoint(

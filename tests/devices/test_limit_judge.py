@@ -5,7 +5,7 @@ import random
 
 import pytest
 
-from linemate.simulators.devices.limit_judge import AxisLimit, LimitJudge
+from linemate.simulators.devices.limit_judge import KEPT, AxisLimit, LimitJudge
 
 T0 = 0.012
 LIMIT = AxisLimit(low=-1.0, high=1.0, speed=0.5, acceleration=2.0, jerk=50.0)
@@ -99,8 +99,8 @@ def test_a_cycle_in_which_the_controller_held_is_no_ones_fault() -> None:
 def test_evidence_is_bounded() -> None:
     judge = _judge()
     _feed(judge, [0.9, -0.9] * 100)
-    assert len(judge.evidence) == judge.keep
-    assert judge.violations > judge.keep
+    assert len(judge.evidence) == KEPT
+    assert judge.violations > KEPT
 
 
 def test_what_is_not_a_number_is_an_excess() -> None:
