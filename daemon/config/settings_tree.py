@@ -5,7 +5,7 @@ Invariants:
 - An error is reported as ``name: what``.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any
@@ -75,7 +75,9 @@ def change(settings: Settings, values: Mapping[str, Any]) -> Settings:
     wrong = [name for name, value in values.items() if not _replace(trees, name.split("."), value)]
     if wrong:
         known = [name for name, _ in leaves(settings)]
-        raise SettingError("; ".join(_unknown(name, known) for name in wrong))
+        raise SettingError(
+            "; ".join(f"no parameter {name}{near_names(name, known)}" for name in wrong)
+        )
     sections, errors = {}, []
     for section, tree in trees.items():
         try:
@@ -154,10 +156,6 @@ def _is_branch(value: Any) -> bool:
     if isinstance(value, list):
         return bool(value) and isinstance(value[0], dict)
     return isinstance(value, dict)
-
-
-def _unknown(name: str, known: Sequence[str]) -> str:
-    return f"no parameter {name}{near_names(name, known)}"
 
 
 def _dotted(line: str) -> str:

@@ -23,14 +23,7 @@ from linemate.daemon.identification import scene_fit as scenes
 from linemate.daemon.identification import swing
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.scene_fit import Camera, SceneFit, Views
-from linemate.daemon.identification.trace import (
-    Kinematics,
-    Mask,
-    TcpPath,
-    Trace,
-    tcp_path,
-    tcp_poses,
-)
+from linemate.daemon.identification.trace import Kinematics, Mask, Trace, tcp_path, tcp_poses
 
 TRAVELS = (0.5e-3, 1e-3, 1.5e-3, 2.2e-3, 3.3e-3, 5e-3, 7.5e-3, 11e-3, 16e-3)
 ROUNDS = 2
@@ -215,7 +208,8 @@ def _axis_rows(
     """Return how the weighed residuals of each view change with each axis (axes, m, 6) [1/rad]."""
     rows: list[Array] = []
     for recording in recordings:
-        paths = [_shifted(recording.trace, STEP * slope) for slope in recording.slopes]
+        trace = recording.trace
+        paths = [tcp_path(replace(trace, tcp=trace.tcp + STEP * s)) for s in recording.slopes]
         for view in recording.views:
             index = len(rows)
             e = scenes.residuals(scene, index, view, camera)
@@ -256,10 +250,6 @@ def _shares(recording: _Recording, travel: float) -> list[Array]:
     motors = recording.trace.motors[:, : len(recording.slopes)]
     ways = np.cumsum(np.abs(np.diff(motors, axis=0, prepend=motors[:1])), axis=0)
     return [*(dahl(motor, travel) for motor in motors.T), *np.exp(-ways.T / travel)]
-
-
-def _shifted(trace: Trace, shift: Array) -> TcpPath:
-    return tcp_path(replace(trace, tcp=trace.tcp + shift))
 
 
 def _solved(rows: _Rows, columns: Array, count: int) -> tuple[float, Array, Array]:

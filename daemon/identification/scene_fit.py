@@ -263,13 +263,9 @@ def spread(view: Views) -> Array:
     return deviations
 
 
-def _robust_chi2(values: Array) -> float:
-    return float((1.4826 * np.median(np.abs(values))) ** 2)
-
-
 def _chi2(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
     weighed = [e for _, e in weighed_images(scene, seen, camera, kept)]
-    return max(_robust_chi2(np.concatenate(weighed)), 1e-12)
+    return max(float((1.4826 * np.median(np.abs(np.concatenate(weighed)))) ** 2), 1e-12)
 
 
 def _descend(

@@ -11,7 +11,7 @@ import fcntl
 import os
 import resource
 import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from enum import StrEnum
@@ -98,17 +98,12 @@ def main(args: argparse.Namespace) -> int:
         print(render.table((), [(f.name, str(f.grade), f.what) for f in findings]))
         costs = [f"{f.name}: {f.cost}" for f in findings if f.cost]
         print("\n".join(["", *costs] if costs else ["", "nothing is lacking"]))
-    return NO if is_lacking(findings) else OK
+    return NO if any(finding.grade is Grade.LACK for finding in findings) else OK
 
 
 def examine(host: Host) -> tuple[Finding, ...]:
     """Run every check."""
     return (*(check(host) for check in CHECKS), *_can(host), *_serial(host))
-
-
-def is_lacking(findings: Iterable[Finding]) -> bool:
-    """Return whether anything is missing that costs replies or links."""
-    return any(finding.grade is Grade.LACK for finding in findings)
 
 
 # --- the scheduler and memory -------------------------------------------------------------

@@ -376,15 +376,15 @@ def apart(runs: Runs) -> str:
         return ""
     windows = ("approach", "stop", "impact", "contact", "restart")
     rows = [
-        (kind, measure, *(_apart(judged, f"{kind}_error.{w}.max_{measure}") for w in windows))
+        (
+            kind,
+            measure,
+            *(cell(_described(judged, f"{kind}_error.{w}.max_{measure}")) for w in windows),
+        )
         for kind in ("control", "plan", "prediction", "total")
         for measure in ("mm", "mrad")
     ]
     return markdown(("error", "", *windows), rows)
-
-
-def _apart(runs: Sequence[Run], name: str) -> str:
-    return cell(_described(runs, name))
 
 
 def ablations(runs: Runs) -> str:

@@ -31,7 +31,7 @@ def spread(
         from linemate.simulators.harness import cluster
 
         return cluster.execute(function, items, scheduler, progress)
-    wanted = min(workers or available_cores(), len(items))
+    wanted = min(workers or len(os.sched_getaffinity(0)), len(items))
     if wanted <= 1:
         return [_noted(function(item), progress) for item in items]
     with _pool(wanted) as pool:
@@ -68,11 +68,6 @@ def _begin_worker(parent: int) -> None:
     """Leave Ctrl-C to the parent, which ends its workers in order; without it there is no work."""
     die_with(parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def available_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
 
 
 @contextmanager

@@ -78,11 +78,6 @@ def simulate(model: ServoModel, commands: Array, cycle_s: float) -> Array:
     return answer
 
 
-def settling_steps(model: ServoModel, cycle_s: float) -> int:
-    """Return after how many cycles an earlier setpoint has no effect."""
-    return len(servo_pulse(model, cycle_s))
-
-
 def fit(
     passages: Sequence[Passage],
     cycle_s: float,
@@ -102,7 +97,7 @@ def fit(
         The fit, or None where there are too few answers.
     """
     slowest = ServoModel(1.0, 0.8, 0.06)
-    skip = min(settling_steps(slowest, cycle_s), math.ceil(1.0 / cycle_s))
+    skip = min(len(servo_pulse(slowest, cycle_s)), math.ceil(1.0 / cycle_s))
     cuts = [skip if _begins_moving(passage) else 0 for passage in passages]
     masks = []
     for passage, cut in zip(passages, cuts, strict=True):

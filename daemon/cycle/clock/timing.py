@@ -63,10 +63,6 @@ class Incident:
             yield ",".join("" if value is None else str(value) for value in values) + "\n"
 
 
-def _histograms() -> dict[str, Histogram]:
-    return {name: Histogram() for name in SENSORS}
-
-
 @dataclass(slots=True)
 class Timing:
     """Timing of the cycles.
@@ -85,7 +81,9 @@ class Timing:
     lateness: Histogram = field(default_factory=Histogram)
     step: Histogram = field(default_factory=Histogram)
     lead: Histogram = field(default_factory=Histogram)
-    ages: dict[str, Histogram] = field(default_factory=_histograms)
+    ages: dict[str, Histogram] = field(
+        default_factory=lambda: {name: Histogram() for name in SENSORS}
+    )
     late: int = 0
     missing: int = 0
     incidents: int = 0

@@ -33,19 +33,21 @@ def write_motion(site: Site, state: SiteState, name: StepName) -> Path:
     plain = documents.read(report.station.task.text.encode(), "task").value
     make = axis_task if name is StepName.SIGNS else exercise_task
     motion = MOTIONS[name]
-    _write(site.folder / "arm.urdf", report.station.task.urdf)
+    identify_command.write(site.folder / "arm.urdf", report.station.task.urdf)
     task = site.folder / f"{motion}-task.yaml"
-    _write(task, HEAD.format(name=name.value) + _yaml(make(report.parameters, plain)))
+    identify_command.write(
+        task, HEAD.format(name=name.value) + _yaml(make(report.parameters, plain))
+    )
     config = documents.read(site.config.read_bytes(), str(site.config)).value
     text = HEAD.format(name=name.value) + _yaml(_config(config, state, task.name))
     path = site.directory / f"commission-{motion}.yaml"
     candidate = site.directory / f".{path.name}.candidate"
-    _write(candidate, text)
+    identify_command.write(candidate, text)
     try:
         check(candidate)
     finally:
         candidate.unlink(missing_ok=True)
-    _write(path, text)
+    identify_command.write(path, text)
     return path
 
 
@@ -68,7 +70,3 @@ def _config(config: dict[str, Any], state: SiteState, task: str) -> dict[str, An
 
 def _yaml(value: dict[str, Any]) -> str:
     return str(yaml.safe_dump(value, sort_keys=False, default_flow_style=None, width=100))
-
-
-def _write(path: Path, text: str) -> None:
-    identify_command.write(path, text)

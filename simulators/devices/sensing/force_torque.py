@@ -13,16 +13,10 @@ from linemate.protocol.sensors.wrench import WrenchDevice, bota_frame, ft300_fra
 Encode = Callable[[Sequence[float], Sequence[float], int], bytes]
 
 
-def _bota(force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
-    return bota_frame(force, torque, device_us=device_us)
-
-
-def _ft300(force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
-    del device_us  # this device has no clock
-    return ft300_frame(force, torque)
-
-
-_ENCODERS: dict[str, Encode] = {"bota": _bota, "robotiq-ft300": _ft300}
+_ENCODERS: dict[str, Encode] = {
+    "bota": lambda force, torque, device_us: bota_frame(force, torque, device_us=device_us),
+    "robotiq-ft300": lambda force, torque, _: ft300_frame(force, torque),  # it has no clock
+}
 
 
 @dataclass(slots=True)

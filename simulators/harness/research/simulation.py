@@ -73,7 +73,7 @@ def simulate(
     )
     run_setup = setup.make(
         cell_files.scenario(scenario, files),
-        _assignments(parameters),
+        [f"{key}={json.dumps(value)}" for key, value in (parameters or {}).items()],
         variant=variant,
         cycle_ms=cycle_ms,
         world=world,
@@ -123,11 +123,6 @@ def replay(
     is_plain = classifier is None and not parameters
     result = truth[1] if truth is not None and is_plain else None
     return Run(rows, truth is not None, result, path, is_identical=not any(differ))
-
-
-def _assignments(parameters: Mapping[str, Any] | None) -> list[str]:
-    """Return values by key as ``--set`` takes them."""
-    return [f"{key}={json.dumps(value)}" for key, value in (parameters or {}).items()]
 
 
 def _named(result: dict[str, Any], classifier: Own) -> dict[str, Any]:
