@@ -179,7 +179,6 @@ def _columns() -> int:
 
 
 def _options(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Yield the options of a parser and of its commands."""
     for action in parser._actions:  # noqa: SLF001 - argparse has no public list of them
         yield from action.option_strings
         if isinstance(action, argparse._SubParsersAction):  # noqa: SLF001

@@ -470,7 +470,6 @@ def _brakes(state: StepState) -> bool:
 def _samples(
     inputs: Inputs, parameters: Parameters, wound: WindupState | None
 ) -> tracker_state.StepSamples:
-    """Return the inputs of tracking."""
     tcp = stamp = None
     if inputs.robot is not None:
         tcp = _tcp(parameters, _joints(parameters, inputs.robot), wound)
@@ -542,7 +541,6 @@ def _outputs(
     held: str | None,
     parameters: Parameters,
 ) -> Outputs:
-    """Return the outputs of the step."""
     tracker, reference = state.tracker, parameters.tracker.reference
     signals = 0
     if tracker.fixing is not None and inputs.order is not MotionOrder.RETREAT:

@@ -261,7 +261,6 @@ def _possible(facts: Facts) -> frozenset[str]:
 
 
 def _ordered(orders: frozenset[str]) -> tuple[bool, ...]:
-    """Return which of the operations are ordered."""
     return tuple([op in orders for op in OPERATIONS])
 
 

@@ -158,7 +158,6 @@ def _mode(frequency_hz: float, axis: int, lever: float = LONGEST_LEVER) -> Swing
 
 
 def _gain(stretches: Sequence[_Recorded], tracking: TrackingSettings, mode: SwingMode) -> _Gain:
-    """Return the gain of a mode by all stretches together."""
     filter_ = Transverse(tracking.fusion, (*tracking.swing, mode), tracking.camera)
     prior = GAIN_DEVIATION**-2.0
     information, weighted = prior, 0.0

@@ -239,7 +239,6 @@ def main(descriptor: int) -> int:
 
 
 def _leave_daemon_cores() -> None:
-    """Run on other cores than the daemon, if there are any."""
     inherited = os.sched_getaffinity(0)
     with contextlib.suppress(OSError):
         os.sched_setaffinity(0, range(os.cpu_count() or 1))

@@ -376,7 +376,6 @@ def _restart(source: _Source, message: CameraMessage) -> None:
 
 
 def _unit(q: Quaternion) -> Quaternion:
-    """Return the quaternion, normalised."""
     w, x, y, z = q
     scale = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
     return (w * scale, x * scale, y * scale, z * scale)

@@ -223,7 +223,6 @@ def write(setup: Setup, inputs: Sequence[Inputs], path: Path) -> Path:
 
 
 def _holding(inputs: Inputs, joints: tuple[float, ...]) -> Outputs:
-    """Return the outputs of a step that holds."""
     return Outputs(
         k=inputs.k,
         stamp_ns=inputs.stamp_ns,

@@ -255,7 +255,6 @@ class TwoBodies:
         return outputs
 
     def _robot(self, stamp_ns: int, bits: int) -> RobotSample:
-        """Return the telegram of a robot."""
         joints: Any = tuple(self._reported.tolist())
         return RobotSample(stamp_ns, 1, joints[:6], joints[6:], 0, bits)
 

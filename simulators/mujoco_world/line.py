@@ -51,7 +51,6 @@ def profile(line: Line, order: RunOrder, step_s: float, count: int) -> Profile:
 
 
 def _straight(times: Array, nominal: float, ramps: tuple[DrivenRamp, ...], share: float) -> Array:
-    """Return the speed of straight ramps."""
     speed = np.full(len(times), nominal)
     for ramp in sorted(ramps, key=lambda r: r.onset_s):
         after = times >= ramp.onset_s

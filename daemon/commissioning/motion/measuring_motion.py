@@ -100,7 +100,6 @@ def _moved_along_rail(compiled: Parameters) -> Array:
 
 
 def _exercise(compiled: Parameters) -> Iterator[_Stop]:
-    """Yield the poses of the exercise."""
     arm, home = compiled.controller.arm, compiled.home
     origin, turned = arm.tcp_in_base(home)
     before = home

@@ -146,7 +146,6 @@ def servo_taps(model: DriftModel, state: DriftState) -> Array:
 
 
 def _corrected(model: DriftModel, responses: Array, drift: float, reported: Array) -> float:
-    """Return the drift corrected by one telegram."""
     expected, slope = _delayed(model, responses, drift)
     error = reported - expected
     power, product = float(slope.dot(slope)), float(slope.dot(error))

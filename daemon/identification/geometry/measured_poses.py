@@ -111,7 +111,6 @@ def text_of(poses: MeasuredPoses) -> str:
 
 
 def _columns(linear_axis: bool) -> list[str]:
-    """Return the usual columns."""
     linear = [f"{LINEAR_AXIS}_mm"] if linear_axis else []
     places = [f"{name}_mm" for name in PLACE]
     return [*(f"{name}_deg" for name in AXES), *linear, *places, *ORIENTATION]

@@ -224,7 +224,6 @@ def _limits(site: "Site", state: "SiteState") -> StepResult:
 
 
 def _page(site: "Site", state: "SiteState") -> StepResult:
-    """Write the page."""
     from importlib.metadata import version
 
     from linemate.daemon.commissioning.page import PageFacts, page

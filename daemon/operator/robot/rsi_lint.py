@@ -72,7 +72,6 @@ def lint(
 
 
 def _line_of_error(text: str, error: RsiError) -> int | None:
-    """Return the line of an error of the reader."""
     place = _BYTE.search(error.reason)
     if place is not None:
         return _line(text, int(place[1]))

@@ -228,7 +228,6 @@ def _judged(
 
 
 def _plain(plan: LinePlan) -> dict[str, Any]:
-    """Return a plan as a file has it."""
     plain: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
     return plain
 

@@ -74,7 +74,6 @@ class CommandWire:
         return client
 
     def _exchange(self, client: CommandClient, frame: bytes, now_ns: int) -> Answer | None:
-        """Return the answer to a frame, with every part of it."""
         app = self._app
         assert app is not None  # noqa: S101 - an order has a daemon
         server = app._commands._server  # noqa: SLF001 - behind its socket

@@ -45,7 +45,6 @@ Patch = tuple[Any, str, Any]
 
 
 def _facts(**wrong: Callable[[Facts], Any]) -> list[Patch]:
-    """Patch the facts of a cycle."""
     whole: Observe = watch.observe
 
     def observe(

@@ -347,7 +347,6 @@ class Simulation:
                 self._wires.send_sensor(_ns(at_s), link, piece)
 
     def _judge_cycle(self) -> None:
-        """Judge the cycle that was closed."""
         app, now_s = self.app, self.now_s
         machine = None if app is None else app.cycle.machine
         if app is None or self.is_stalled:
