@@ -25,6 +25,8 @@ STALE_S = 1.0
 RATED = {"robot": "answered"}  # counter of a link's rate, if not ``samples``
 COVERED_M = 0.05  # distance of tool and part below which the tool covers the camera [m]
 
+LAGS_S = 0.01  # of a robot more than identified, from which it is a complaint [s]
+
 _CAMERA = frozenset({"camera"})
 
 
@@ -125,6 +127,12 @@ def dead_time(cycle: Cycle) -> dict[str, float] | None:
     return {name: round(seconds * 1e3, 3) for name, seconds in shown.items()}
 
 
+def _lag(cycle: Cycle) -> float:
+    """Return by how much longer the robot's lag is than its servo models' [s]."""
+    last = cycle.last
+    return 0.0 if last is None or last.after is None else last.after.tracker.lead
+
+
 def _weights(cycle: Cycle) -> tuple[float, float] | None:
     """Return the payload's weight by the sensor, and as known [N]; None if nothing shows it."""
     last = cycle.last
@@ -198,6 +206,11 @@ def _complaints(
             f"the dead time has drifted by {drift['drift_ms']} ms, limit {drift['least_ms']} to "
             f"{drift['most_ms']} ms. Identify the servos again, or widen control.drift."
         )
+    lag_s = _lag(snapshot.cycle)
+    if abs(lag_s) > LAGS_S:
+        kind = "more" if lag_s > 0.0 else "less"
+        lag = f"{1e3 * abs(lag_s):.0f} ms {kind}"
+        yield f"the robot lags by {lag} than its servo models: identify the servos"
     weights = _weights(snapshot.cycle)
     if weights is not None and tare.is_misjudged(*weights):
         yield (

@@ -112,11 +112,32 @@ def test_a_payload_that_weighs_other_than_configured_is_a_complaint(
     free = Wrench(np.array((shown, 0.0, 0.0)), np.zeros(3), 0, 1)
     mount, payload = app.cycle.parameters.tracker.settings.tactile, PayloadSettings(mass=20.0)
     hung = tare.updated(tare.NO_TARE, free, (1.0, 0.0, 0.0), payload, mount, 0.012)
-    after = SimpleNamespace(tracker=SimpleNamespace(tare=hung), control=SimpleNamespace(drift=None))
+    complaints = complained(app, monkeypatch, hung, 0.0)
+    assert any("196 N by tracking.payload.mass" in each for each in complaints) is is_complaint
+
+
+@pytest.mark.parametrize(
+    ("lead", "text"), [(0.024, "24 ms more"), (-0.015, "15 ms less"), (0.008, "")]
+)
+def test_a_robot_that_lags_more_than_identified_is_a_complaint(
+    app: App, lead: float, text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    complaints = complained(app, monkeypatch, tare.NO_TARE, lead)
+    assert [each for each in complaints if "identify the servos" in each] == [
+        each for each in complaints if text and text in each
+    ]
+    assert bool(text) is any("identify the servos" in each for each in complaints)
+
+
+def complained(
+    app: App, monkeypatch: pytest.MonkeyPatch, hung: tare.Tare, lead: float
+) -> list[str]:
+    """Return the complaints after a step with a tare and a lead."""
+    tracker = SimpleNamespace(tare=hung, lead=lead)
+    after = SimpleNamespace(tracker=tracker, control=SimpleNamespace(drift=None))
     monkeypatch.setattr(app.cycle, "last", SimpleNamespace(after=after))
     monkeypatch.setattr(status, "covered", lambda _: frozenset())
-    complaints = [*status._complaints(app._snapshot(), {"link": "healthy"}, {})]
-    assert any("196 N by tracking.payload.mass" in each for each in complaints) is is_complaint
+    return [*status._complaints(app._snapshot(), {"link": "healthy"}, {})]
 
 
 def test_the_drift_of_the_dead_time_is_that_of_the_last_step() -> None:

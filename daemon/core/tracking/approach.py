@@ -17,6 +17,10 @@ STEEPEST = 2.1875  # largest rate of ``smoothstep`` from 0 to 1 in unit time
 IN_TIME_SPEED = 0.5  # of a blend up to which it takes its usual time [m/s]
 CATCH_UP_SPEED = 0.25  # of one that begins late, when the object has gone far [m/s]
 
+NORMAL_LAG = 0.0008  # of a tcp along the conveyor behind its plan, by servos identified well [m]
+LEAD_S = 1.0  # time constant with which a lag is made up for: ten dead times [s]
+LARGEST_LEAD = 0.05  # of the goal before the object [s]
+
 
 class Part(Struct, frozen=True, eq=False):
     """The object over the horizon, in c.
@@ -35,6 +39,23 @@ class Part(Struct, frozen=True, eq=False):
     rotation: Array
     swing: Array
     slopes: tuple[float, float] = (0.0, 0.0)
+
+
+def lead(before: float, off: float, speed: float, dt: float) -> float:
+    """Return how far the goal is ahead of the object, for a robot with a longer dead time [s].
+
+    A lag behind steady motion is a time: at rest there is none. What identified servos leave of it
+    is left alone.
+
+    Args:
+        before: the lead of the step before, which the plan has [s].
+        off: mean of the measured tcp off its plan along the conveyor [m].
+        speed: of the object, not 0 [m/s].
+    """
+    lag = off + before * speed
+    beyond = lag - min(max(lag, -NORMAL_LAG), NORMAL_LAG)
+    later = before - dt / LEAD_S * beyond / speed
+    return min(max(later, -LARGEST_LEAD), LARGEST_LEAD)
 
 
 def sensed(

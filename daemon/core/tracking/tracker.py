@@ -46,6 +46,7 @@ from linemate.daemon.core.tracking.transverse import TransverseState
 
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
 HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
+STEADY_S = 1.0  # of the conveyor, before a robot's lag is judged [s]
 CLEAR_WAY = 0.05  # way from the object at which a released tool has cleared it [m]
 
 
@@ -223,6 +224,7 @@ def track(
         target, part = _complied(tracker, state, target, part)
         target = bolt_search.turned(target, state.bolts, span)
         state, goal = _blend(tracker, state, goal, target)
+        state, goal = _lead(tracker, state, view, goal, along)
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
@@ -275,6 +277,37 @@ def _blend(
         return state, sensed
     share = approach.smoothstep((blended + tracker.span) / state.blend_s)
     return state, approach.blend(goal, sensed, share)
+
+
+def _lead(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, goal: Array, along: Array
+) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) ahead of the object for a robot that lags.
+
+    It is learnt while object and programme move steadily.
+
+    Args:
+        along: (m,) or longer: positions of the object along the conveyor [m].
+    """
+    is_steady = (
+        view is not None
+        and view.motion is Motion.RUNNING
+        and not view.tentative
+        and view.speed > 0.5 * tracker.task.conveyor.nominal_speed
+        and state.steady_s > STEADY_S
+        and state.withdrawn is None
+    )
+    if view is not None and is_steady and is_blended(state):
+        off = float(rotations.exp(state.poses[0, 3:])[merge.ALONG].dot(state.following))
+        lead = approach.lead(state.lead, off, view.speed, tracker.cycle_s)
+        state = state if lead == state.lead else replace(state, lead=lead)
+    if state.lead == 0.0:
+        return state, goal
+    if not is_blended(state):
+        return replace(state, lead=0.0), goal
+    ahead = goal.copy()
+    ahead[:, merge.ALONG] += state.lead * np.gradient(along[: len(goal)], tracker.cycle_s)
+    return state, ahead
 
 
 def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) -> Array:

@@ -168,6 +168,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         look_seen: acceleration of the strongest change whose effect on the object the camera has
             seen for long enough [m/s^2].
         following: mean of the tcp off its plan, in the tool's axes [m].
+        lead: of the goal before the object, for a robot that lags more than its servo models [s].
         shift: of the target after a jump of the estimate.
         compliance: of a clamped tool: the offset by force from the feed-forward target.
         tare: wrench of the free tool, and the mount's sag under it.
@@ -236,6 +237,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     look_ns: int | None = None
     look_seen: float = 0.0
     following: Vector3 = (0.0, 0.0, 0.0)
+    lead: float = 0.0
     shift: TargetShift = NO_SHIFT
     compliance: Compliance = NO_COMPLIANCE
     tare: Tare = NO_TARE

@@ -209,3 +209,19 @@ def test_a_blend_takes_its_usual_time_unless_the_object_has_gone_far() -> None:
     share = approach.smoothstep(np.linspace(0.0, 1.0, 1001))
     fastest = 0.76 * np.diff(share).max() / (late / 1000)
     assert fastest == pytest.approx(approach.CATCH_UP_SPEED, rel=1e-3)
+
+
+@pytest.mark.parametrize("lag_s", [-0.03, 0.024, 0.08])
+def test_a_lag_behind_a_steady_object_is_made_up_for_up_to_what_is_normal(lag_s: float) -> None:
+    """The robot lags by a time: the plan with the lead is that much ahead of it."""
+    lead, speed = 0.0, 0.106
+    for _ in range(1000):
+        lead = approach.lead(lead, -lag_s * speed, speed, 0.012)
+    normal_s = approach.NORMAL_LAG / speed
+    most = min(abs(lag_s) - normal_s, approach.LARGEST_LEAD)
+    assert lead == pytest.approx(np.sign(lag_s) * most, rel=1e-3)
+
+
+@pytest.mark.parametrize("off", [0.0, 7e-4, -7e-4])
+def test_what_identified_servos_leave_of_a_lag_is_left_alone(off: float) -> None:
+    assert approach.lead(0.0, off, 0.106, 0.012) == 0.0
