@@ -168,7 +168,18 @@ def _tracker(
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
     leads = prediction_error.lead_times(reference.contact_time - reference.sight_time)
     blend = control_settings.filters.contact_blend
-    along_tool = control_settings.effector[TOOL_AXIS]
+    mount = tracking.tactile
+    vibrations = [
+        contact.tool_vibration(
+            mode.frequency_hz,
+            mode.damping,
+            stiffness,
+            mount.contact_force,
+            cycle_s,
+            mount.deflection,
+        )
+        for mode, stiffness in zip(control_settings.effector, mount.stiffness[:3], strict=False)
+    ]
     return Tracker(
         task=task,
         settings=tracking,
@@ -194,14 +205,8 @@ def _tracker(
             blend,
             np.arange(len(table.poses)) * cycle_s,
         ),
-        vibration=contact.tool_vibration(
-            along_tool.frequency_hz,
-            along_tool.damping,
-            tracking.tactile.stiffness[TOOL_AXIS],
-            tracking.tactile.contact_force,
-            cycle_s,
-            tracking.tactile.deflection,
-        ),
+        vibration=vibrations[TOOL_AXIS],
+        across=(vibrations[0], vibrations[1]),
         compliance=_compliance(tracking, clamped, cycle_s),
         sight_time=reference.sight_time,
         near_time=reference.time_before(max(task.guard.clearance, NEAR_GATE)),

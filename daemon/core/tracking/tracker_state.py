@@ -58,6 +58,7 @@ class Tracker:
         leads: how far ahead predictions are checked [s].
         free: (t,) share of the damping at every step of the task's clock.
         vibration: of the tool along its axis.
+        across: the same along the two axes across.
         compliance: of a clamped tool.
         sight_time: when the tool leaves its last waypoint before contact [s].
         near_time: when the tool reaches the clearance before the object [s].
@@ -89,6 +90,7 @@ class Tracker:
     leads: tuple[float, float]
     free: Array
     vibration: contact.ToolVibration
+    across: tuple[contact.ToolVibration, contact.ToolVibration]
     compliance: ComplianceModel
     sight_time: float
     near_time: float

@@ -17,8 +17,10 @@ from linemate.daemon.core.tracking.touch.contact import (
     assume_touch,
     count_touches,
     is_contact,
+    is_held_across,
     is_push,
     may_rub,
+    record_across,
     record_force,
     tool_vibration,
 )
@@ -363,3 +365,32 @@ def test_a_pull_is_doubted_before_the_object_also_while_the_tool_advances() -> N
     felt = drifted(900.0, lambda t: min(t, 0.4) * 0.009 - 0.012)
     assert felt.touches == 0
     assert felt.doubtful
+
+
+def held_across(forces: list[float], frequency: float = FREQUENCY) -> int | None:
+    """The step in which a clamp is felt that pulls across the tool's axis."""
+    cycle_s, state = 0.012, NO_CONTACT
+    axial = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
+    mode = tool_vibration(frequency, DAMPING, STIFFNESS, FORCE, cycle_s)
+    for k, force in enumerate(forces):
+        state = record_force(state, axial, 0.0, 0.0, held=False)
+        state = record_across(state, (mode, mode), (2.0, force), held=False)
+        if is_held_across(state, (mode, mode)):
+            return k
+    return None
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_clamp_that_closes_off_the_objects_axis_is_felt_across(side: float) -> None:
+    """Along the axis it presses with less than a contact's force."""
+    assert held_across([0.0] * 40 + [side * 18.0 * k for k in range(1, 9)]) == 42
+
+
+@pytest.mark.parametrize("share", [0.85, 1.0, 1.15])
+def test_a_tool_that_rings_across_is_not_held(share: float) -> None:
+    ringing = [6.0 + rung(k * 0.012, 150.0, share * FREQUENCY) for k in range(-40, 80)]
+    assert held_across(ringing[40 + 7 :]) is None
+
+
+def test_less_than_a_clamp_gives_is_not_held_across() -> None:
+    assert held_across([0.0] * 40 + [PULL * FORCE - 1.0] * 40) is None

@@ -29,6 +29,7 @@ MARGIN = 0.003  # or this much before the approach is slow: an object that is ne
 # axis may be wrong, and the tool must not press on.
 PULL = 3.0
 
+STEADY = 0.5  # largest share of a contact's force that there was to the other side before
 MEASURED = 0.5  # share of a contact's force that the sensor itself must show
 LEFT_NOISE = 0.5  # share of a contact's force: less that is left is noise
 GROWTH_S = 0.024  # over which the force of a touch must have grown [s]
@@ -135,6 +136,7 @@ class ContactState(Struct, frozen=True):
             are 0 for a tool that vibrates as configured.
         distances: programmed, to the object, in each of the last steps [m].
         doubtful: the force is one of a contact, but the object cannot give it.
+        across: forces across the tool's axis, one a step, newest last [N].
     """
 
     forces: tuple[float, ...] = ()
@@ -146,6 +148,7 @@ class ContactState(Struct, frozen=True):
     inertial: tuple[float, ...] = ()
     distances: tuple[float, ...] = ()
     doubtful: bool = False
+    across: tuple[tuple[float, float], ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -181,6 +184,53 @@ def record_force(
         inertial = (*inertial, inertia)[-vibration.memory :]
     calm = 0 if held else min(state.calm + 1, vibration.memory)
     return replace(state, forces=forces, calm=calm, samples=samples, inertial=inertial)
+
+
+def record_across(
+    state: ContactState,
+    vibrations: tuple[ToolVibration, ...],
+    force: tuple[float, float] | None,
+    *,
+    held: bool,
+) -> ContactState:
+    """Return the state with the force across the tool's axis of one step.
+
+    Args:
+        vibrations: of the tool along both of these axes.
+        force: None if none was measured: then it is what it was.
+        held: the robot did not get the last command and held.
+    """
+    across = () if held else state.across
+    if force is None and across:
+        force = across[-1]
+    if force is not None:
+        across = (*across, force)[-_whole_period(vibrations) :]
+    return state if across is state.across else replace(state, across=across)
+
+
+def _whole_period(vibrations: tuple[ToolVibration, ...]) -> int:
+    """Return the steps that reach over a period of each vibration, both ends counted."""
+    return max(each.period for each in vibrations) + 1
+
+
+def is_held_across(state: ContactState, vibrations: tuple[ToolVibration, ...]) -> bool:
+    """Return whether a closed clamp pulls across the tool's axis.
+
+    A clamp that closes on a tool off the object's axis shows there first: along the axis nothing
+    presses. It needs as much force as a pull along the axis, as measured and without the vibration.
+    """
+    if len(state.across) < _whole_period(vibrations):
+        return False
+    for axis, vibration in enumerate(vibrations):
+        whole, part = divmod(vibration.half, 1.0)
+        ago = -1 - int(whole)
+        side = math.copysign(1.0, state.across[-1][axis])
+        forces = [side * each[axis] for each in state.across]
+        opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
+        least = max(PULL * vibration.force, -min(forces) / STEADY)
+        if min(forces[-1], forces[-1] + vibration.kept * opposite) > least:
+            return True
+    return False
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:

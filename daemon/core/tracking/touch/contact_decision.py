@@ -5,7 +5,7 @@ import math
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.estimation import elastic, is_pulling
+from linemate.daemon.core.tracking.estimation import BLIND_S, elastic, is_pulling
 from linemate.daemon.core.tracking.observation import History
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import (
@@ -64,6 +64,9 @@ def update_contact(
         held=held,
         samples=after.sampled,
     )
+    contact_state = contact.record_across(
+        contact_state, tracker.across, None if report.force is None else (x, y), held=held
+    )
     if contact_state.forces:
         near = contact.reach(tracker.task.guard.clearance)
         contact_state = contact.count_touches(
@@ -79,6 +82,9 @@ def update_contact(
         is_due = before.time >= tracker.search_time and not is_open
         contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
     has_contact = contact_state.touches >= contact.TOUCHES
+    # An estimate that is corrected accelerates the tool across, which gives a force as well.
+    if after.clamped and after.blind_s > BLIND_S and not contact_state.doubtful:
+        has_contact = has_contact or contact.is_held_across(contact_state, tracker.across)
     assumed = has_contact and not contact_state.forces
     search, touched, sign = after.search, guard.UNTOUCHED, force_sign.TRUSTED
     if has_contact and force is not None and report.part is not None and after.history is not None:
@@ -87,7 +93,9 @@ def update_contact(
         rubs = contact.may_rub(reach, bolts)
         has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
         if has_contact:
-            shown = tare.shows_weight(after.tare, tracker.settings.tactile)
+            # A clamp that closes on a tool which was led back from the object pulls at it.
+            stands_off = after.clamped and before.distance < -release.HELD_OFF
+            shown = stands_off or tare.shows_weight(after.tare, tracker.settings.tactile)
             sign = force_sign.at_touch(force, tracker.vibration.force, shows_weight=shown)
         if has_contact and not after.clamped:
             touched = _touched_programme(tracker, before, after, reach)
