@@ -61,7 +61,12 @@ LINES = {
 
 def overrides(name: str, seed: int) -> tuple[str, ...]:
     """Return what a seed of a row changes of the plant floor, as ``KEY=VALUE``."""
-    events = json.dumps(_events(LINES[name], seed))
+    return stops_and_starts(LINES[name], seed)
+
+
+def stops_and_starts(line: LineRange, seed: int) -> tuple[str, ...]:
+    """Return the orders that a seed gives to a conveyor, and how long a run takes then."""
+    events = json.dumps(_events(line, seed))
     return f"scenario.conveyor.events={events}", f"scenario.duration_s={DURATION_S}"
 
 

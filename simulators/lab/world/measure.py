@@ -30,6 +30,7 @@ from linemate.simulators.lab.world import (
     drawn_line,
     drawn_world,
     measured_arm,
+    mujoco_rows,
     world_table,
 )
 from linemate.simulators.lab.world.as_identified import CellJob
@@ -109,7 +110,7 @@ def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
     """
     every = known() if world == OWN else tuple(MUJOCO_ROWS)
     if text is None:
-        return tuple(name for name in every if name not in DRAWN)
+        return tuple(name for name in every if not _is_drawn(name))
     names: list[str] = []
     for name in filter(None, (part.strip() for part in text.split(","))):
         begin = name.removesuffix("*")
@@ -118,6 +119,11 @@ def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
             raise SetupError(f"no row {name!r}{near_names(name, every)}")
         names += matches
     return tuple(dict.fromkeys(names))
+
+
+def _is_drawn(name: str) -> bool:
+    """Return whether each seed of a row draws its own."""
+    return name in DRAWN or name in mujoco_rows.DRAWN
 
 
 def what(name: str) -> str:
@@ -147,7 +153,7 @@ def prepare(
         return _setup(name, overrides, cycle_ms, seed)
 
     return [
-        WorldJob(name, setup_of(name, seed if name in DRAWN else None), seed, kept, sources)
+        WorldJob(name, setup_of(name, seed if _is_drawn(name) else None), seed, kept, sources)
         for name in names
         for seed in seeds
     ]
@@ -170,7 +176,7 @@ def _setup(name: str, overrides: Sequence[str], cycle_ms: float | None, seed: in
         seed: which world is drawn; None for a row that draws none.
     """
     if name in MUJOCO_ROWS:
-        return prepared(name, tuple(overrides), cycle_ms)
+        return prepared(name, tuple(overrides), cycle_ms, seed)
     if seed is not None:
         is_line = name in drawn_line.LINES
         drawn = drawn_line.overrides(name, seed) if is_line else drawn_world.overrides(seed)

@@ -1,9 +1,11 @@
 """Rows of the MuJoCo world: what each changes of its station."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.setup import Setup
+from linemate.simulators.lab.world import drawn_station
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,11 +16,13 @@ class MujocoRow:
         what: what is different, in one line.
         sets: ``KEY=VALUE`` of the station.
         scenario: orders to the conveyor.
+        draw: what a seed changes as well, as ``KEY=VALUE``.
     """
 
     what: str
     sets: tuple[str, ...] = ()
     scenario: str = "wheel"
+    draw: Callable[[int], tuple[str, ...]] | None = None
 
 
 def _car(hz: float, damping: float) -> tuple[str, ...]:
@@ -47,11 +51,21 @@ MUJOCO_ROWS = {
     "mujoco-light-car": MujocoRow(
         "a body of 300 kg", ("mujoco.car.mass=300.0", "mujoco.car.inertia=[370.0, 120.0, 430.0]")
     ),
+    "mujoco-drawn": MujocoRow(drawn_station.WHAT, draw=drawn_station.overrides),
 }
+DRAWN = {name: row.what for name, row in MUJOCO_ROWS.items() if row.draw is not None}
+"""Rows of which each seed draws its own, and what they are."""
 
 
-def prepared(name: str, overrides: tuple[str, ...], cycle_ms: float | None) -> Setup:
-    """Return the runs of a row before their seeds."""
+def prepared(
+    name: str, overrides: tuple[str, ...], cycle_ms: float | None, seed: int | None
+) -> Setup:
+    """Return the runs of a row before their seeds.
+
+    Args:
+        seed: which station is drawn; None for a row that draws none.
+    """
     row = MUJOCO_ROWS[name]
-    sets = (*row.sets, *overrides)
+    drawn = () if row.draw is None or seed is None else row.draw(seed)
+    sets = (*row.sets, *drawn, *overrides)
     return setup.make(row.scenario, sets, cycle_ms=cycle_ms, world="mujoco")
