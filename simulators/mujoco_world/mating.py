@@ -60,16 +60,16 @@ class MatingPoses:
 
     Attributes:
         tool: tcp in the hub's frame: position [m], then rotation vector [rad].
-        wheel: wheel in the hub's frame.
-        tool_in_wheel: tcp in the wheel's frame.
+        wheel: position of the wheel in the hub's frame [m].
+        tool_in_wheel: position of the tcp in the wheel's frame [m].
         touch_n: force between wheel and hub, the screws' not counted [N].
         mount_n: force on the mount beyond the weight it was zeroed with [N].
         mount_nm: torque on it, likewise [Nm].
     """
 
     tool: Six
-    wheel: Six
-    tool_in_wheel: Six
+    wheel: Vec
+    tool_in_wheel: Vec
     touch_n: float
     mount_n: float
     mount_nm: float
@@ -133,7 +133,7 @@ class BoltMating:
 
     def _watch(self, t: float, now: MatingPoses) -> None:
         """Note a collision of the wheel in the gripper."""
-        x, y, z, *_ = now.wheel
+        x, y, z = now.wheel
         lateral = math.hypot(x, y)
         if now.mount_n > self._tool.mount_limit:
             self._collide(t, f"mount overloaded: {now.mount_n:.0f} N")
@@ -148,7 +148,7 @@ class BoltMating:
         """Note a collision of the empty gripper that has to leave the wheel."""
         if self._is_clear:
             return
-        x, y, z, *_ = now.tool_in_wheel
+        x, y, z = now.tool_in_wheel
         lateral = math.hypot(x, y)
         if lateral > DRAG_M:
             self._collide(t, f"gripper caught in the wheel by {1e3 * lateral:.1f} mm")
@@ -161,7 +161,7 @@ class BoltMating:
             if self.fixed_s is None and t - self._pulled_in_s >= PULLED_IN_S:
                 self.fixed_s = t
             return
-        x, y, z, *_ = now.wheel
+        x, y, z = now.wheel
         is_seated = abs(z) < SEATED_M and math.hypot(x, y) < SEATED_M
         if not (self._orders & FIX_SCREWS and is_seated):
             self._screwing_s = None

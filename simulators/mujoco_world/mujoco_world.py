@@ -324,8 +324,8 @@ class MujocoWorld:
         station, wrench = self._station, self._station.wrench()
         return MatingPoses(
             station.six(station.hub, station.tool),
-            station.six(station.hub, station.wheel),
-            station.six(station.wheel, station.tool),
+            station.position(station.hub, station.wheel),
+            station.position(station.wheel, station.tool),
             touch_n,
             float(np.linalg.norm(wrench[:3])),
             float(np.linalg.norm(wrench[3:])),

@@ -10,7 +10,7 @@ import math
 import mujoco
 import numpy as np
 
-from linemate.simulators.mujoco_world.frame_poses import Array, Pose, pose, vector_of
+from linemate.simulators.mujoco_world.frame_poses import Array, Pose, Vec, pose, vector_of
 from linemate.simulators.mujoco_world.line import Profile
 from linemate.simulators.mujoco_world.model import mjcf, mount_stiffness
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell, RunOrder, known
@@ -189,6 +189,12 @@ class MujocoStation:
         """Return where a body is in the frame of another."""
         (here, turn), (there, turned) = self.place(frame), self.place(body)
         return turn.T @ (there - here), turn.T @ turned
+
+    def position(self, frame: int, body: int) -> Vec:
+        """Return the position of a body in the frame of another [m]."""
+        (here, turn), (there, _) = self.place(frame), self.place(body)
+        x, y, z = (turn.T @ (there - here)).tolist()
+        return (x, y, z)
 
     def six(self, frame: int, body: int) -> Six:
         """Return where a body is in the frame of another: position [m], rotation vector [rad]."""

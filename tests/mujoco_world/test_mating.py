@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from linemate.simulators.mujoco_world.frame_poses import Vec
 from linemate.simulators.mujoco_world.mating import (
     FIX_SCREWS,
     RELEASE_WHEEL,
@@ -15,13 +16,18 @@ from linemate.simulators.mujoco_world.mating import (
 from linemate.simulators.mujoco_world.mujoco_cell import Tool
 
 DT = 0.001
-FAR = (0.0, 0.0, -0.05, 0.0, 0.0, 0.0)
-SEATED = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+FAR = (0.0, 0.0, -0.05)
+SEATED = NO_TURN = (0.0, 0.0, 0.0)
 AWAY = MatingPoses(
-    tool=FAR, wheel=FAR, tool_in_wheel=SEATED, touch_n=0.0, mount_n=0.0, mount_nm=0.0
+    tool=(*FAR, *NO_TURN), wheel=FAR, tool_in_wheel=SEATED, touch_n=0.0, mount_n=0.0, mount_nm=0.0
 )
 PRESSED = MatingPoses(
-    tool=SEATED, wheel=SEATED, tool_in_wheel=SEATED, touch_n=50.0, mount_n=50.0, mount_nm=2.0
+    tool=(*SEATED, *NO_TURN),
+    wheel=SEATED,
+    tool_in_wheel=SEATED,
+    touch_n=50.0,
+    mount_n=50.0,
+    mount_nm=2.0,
 )
 
 
@@ -71,8 +77,8 @@ def test_screws_are_fixed_after_their_time_on_a_seated_wheel() -> None:
     assert course.signals == SCREWS_FIXED
 
 
-@pytest.mark.parametrize("wheel", [(0.002, 0, 0, 0, 0, 0), (0, 0, -0.002, 0, 0, 0)])
-def test_screws_do_not_hold_a_wheel_that_is_not_seated(wheel: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("wheel", [(0.002, 0, 0), (0, 0, -0.002)])
+def test_screws_do_not_hold_a_wheel_that_is_not_seated(wheel: Vec) -> None:
     course = mating()
     course.order(FIX_SCREWS)
     hold(course, replace(PRESSED, wheel=wheel), 0.0, 3.0)
@@ -104,7 +110,7 @@ def test_a_wheel_without_screws_drops() -> None:
     [
         ({"mount_n": 401.0}, "mount overloaded: 401 N"),
         ({"touch_n": 2600.0}, "pressed with 2600 N"),
-        ({"wheel": (0.0, 0.007, -0.010, 0.0, 0.0, 0.0)}, "missed the bolts: 7.0 mm"),
+        ({"wheel": (0.0, 0.007, -0.010)}, "missed the bolts: 7.0 mm"),
         ({"mount_nm": 81.0}, "mount overloaded: 81 Nm"),
     ],
 )
@@ -123,13 +129,13 @@ def test_an_empty_gripper_that_is_caught_in_the_wheel_is_a_collision() -> None:
     t = release(course)
     assert course.phase == "released"
     assert course.collision is None
-    hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.021, 0.0, 0.0, 0.0, 0.0)), t, 0.01)
+    hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.021, 0.0)), t, 0.01)
     assert course.collision is not None
 
 
 def test_an_empty_gripper_that_is_clear_may_go_anywhere() -> None:
     course = mating()
     t = release(course)
-    t = hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.0, -0.02, 0.0, 0.0, 0.0)), t, 0.01)
-    hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.2, 0.0, 0.0, 0.0, 0.0)), t, 0.01)
+    t = hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.0, -0.02)), t, 0.01)
+    hold(course, replace(PRESSED, tool_in_wheel=(0.0, 0.2, 0.0)), t, 0.01)
     assert course.collision is None
