@@ -114,7 +114,7 @@ endef
 
 .venv/.ok: pyproject.toml constraints.txt
 	$(call environment,.venv,-e .[dev],--no-compile)
-	@# Not by pip, which has one process for it.
+	@# Not by pip, which has one process for it. Some packages hold files of other Pythons: they fail.
 	@.venv/bin/python -m compileall -qq -j 0 .venv/lib protocol drivers daemon simulators || true
 	@# A disk that still takes in this gigabyte stalls a virtual machine for 0.1 s: a demo would fail.
 	@sync

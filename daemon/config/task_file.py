@@ -188,10 +188,8 @@ def complaints(value: Any) -> Iterator[Complaint]:
 
 def _never_ordered(value: Any, points: list[Any]) -> Iterator[Complaint]:
     """Yield a gate that waits for a signal before the order for it."""
-    tool = ToolTimes()
     for gate, order in ((Gate.SCREWS_FIXED, "fix_screws"), (Gate.WHEEL_RELEASED, "release_wheel")):
-        ordered = _at(value, "tool", order)
-        ordered = getattr(tool, order) if ordered is None else ordered
+        ordered = _tool_time(value, order)
         for i, point in enumerate(points):
             time = _at(point, "time")
             if _at(point, "gate") != gate.value or not (_is_number(time) and _is_number(ordered)):
@@ -206,10 +204,7 @@ def _ordered_early(value: Any, points: list[Any]) -> Iterator[Complaint]:
 
     A clamp that opens in free air drops what it holds.
     """
-    tool = ToolTimes()
-    screws, release = (_at(value, "tool", order) for order in ("fix_screws", "release_wheel"))
-    screws = tool.fix_screws if screws is None else screws
-    release = tool.release_wheel if release is None else release
+    screws, release = _tool_time(value, "fix_screws"), _tool_time(value, "release_wheel")
     if not (_is_number(screws) and _is_number(release)):
         return
     if release < screws:
@@ -222,6 +217,12 @@ def _ordered_early(value: Any, points: list[Any]) -> Iterator[Complaint]:
                 what = f"{screws:g} s is before waypoints[{i}] at {time:g} s, where contact begins"
                 yield Complaint(("tool", "fix_screws"), what)
             return
+
+
+def _tool_time(value: Any, order: str) -> Any:
+    """Return when the tool gets an order, by the task or by default."""
+    time = _at(value, "tool", order)
+    return getattr(ToolTimes(), order) if time is None else time
 
 
 def _falling(points: list[Any]) -> Iterator[Complaint]:

@@ -16,7 +16,7 @@ LARGEST_N = 160.0  # at a contact with a tool that lags
 def test_a_robot_whose_servos_are_misjudged_assembles(
     key: str, factor: float, shift: float
 ) -> None:
-    """24 ms of dead time left out dragged the released tool along the hub: 151 N, 12 mm."""
+    """24 ms of dead time left out dragged the released tool along the hub: 192 N, 12 mm."""
     servos = setup.make("plant-floor").control.servos
     values = [max(factor * getattr(servo, key) + shift, 0.0) for servo in servos]
     overrides = [f"control.servos.{i}.{key}={value}" for i, value in enumerate(values)]
