@@ -24,7 +24,6 @@ from linemate.simulators.judge.rows import (
     CLAMPED,
     FREE,
     PHASES,
-    RELEASED,
     STATES,
     Bools,
     DaemonEvent,
@@ -266,10 +265,9 @@ def windows(rows: Rows, events: Sequence[AppliedEvent], collided: bool = False) 
     if impact is None and collided:
         impact = len(t) - 1
     stop, restart, busy = (np.zeros(len(t), np.bool_) for _ in range(3))
-    gone = np.logical_or.accumulate(rows.contact == RELEASED)  # follows no object any more
     for event in events:
         window, length = (stop, STOP_S) if event.kind == "stop" else (restart, RESTART_S)
-        window |= (t >= event.onset_s) & (t <= event.onset_s + length) & ~gone
+        window |= (t >= event.onset_s) & (t <= event.onset_s + length)
         busy |= (t >= event.onset_s) & (t <= event.settled_s + SETTLE_S)
     fixing, before = _screws(rows)
     return {

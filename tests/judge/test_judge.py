@@ -317,13 +317,6 @@ def test_what_is_reported_without_reason_is_a_false_alarm() -> None:
     assert found[0]["perceived_s"] == found[0]["confirmed_s"] == pytest.approx(0.3)
 
 
-def test_a_stop_after_the_release_is_no_error_of_a_tool_that_withdraws() -> None:
-    rows = perfect_run()
-    rows.contact[rows.t >= 5.5] = judging.RELEASED
-    rows.tcp[rows.t >= 5.5, 2] += 0.1
-    assert judge(evidence(rows))["total_error"]["stop"]["max_mm"] < 1e-9
-
-
 def test_setpoints_within_limits_are_no_violation_even_as_rounded_on_the_wire() -> None:
     t = np.arange(2000) * 0.002
     # Speed 1 and acceleration 10, both at their limits, jerk 200.
