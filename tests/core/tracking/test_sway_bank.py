@@ -148,3 +148,24 @@ def test_a_body_that_the_tool_pushes_keeps_its_frequency_unless_it_rings_at_anot
             others += [other] if other is not None else []
     found = [fit.omega / math.tau for fit in others]
     assert not found if ringing_hz == 1.2 else found[-1] == pytest.approx(ringing_hz, rel=0.1)
+
+
+@pytest.mark.parametrize("is_accepted", [True, False])
+def test_a_unit_that_is_lost_begins_again(is_accepted: bool) -> None:
+    """A wrong stop has moved the unit; readings that the filter takes then show where it is."""
+    bank = sway_bank.empty(SETTINGS)
+    reading = PositionMeasurement(Source.DISTANCE, 0.0, 0.0, UNIT_SIGMA**2, 4.0)
+    bank = sway_bank.read_unit(bank, reading, 0.0)
+    assert bank.unit is not None
+    lost = structs.replace(bank.unit, position=-0.2)
+    bank = sway_bank.count_push(structs.replace(bank, unit=lost, age=9.0, base=0.2))
+    for _ in range(sway_bank.MOST_REJECTED):
+        assert bank.unit.position == pytest.approx(-0.2)
+        bank = sway_bank.predict(SETTINGS, bank, T0, 0.0, stands=True)
+        bank = sway_bank.read_unit(bank, reading, 0.0, is_accepted=is_accepted)
+        bank = sway_bank.with_unit_found(SETTINGS, bank, reading, 0.0)
+    assert bank.unit.position == pytest.approx(0.0 if is_accepted else -0.2)
+    # What the body did against a lost unit is forgotten, and no sway is taken of it.
+    assert (bank.base is None) is is_accepted
+    assert (bank.age == 0.0) is is_accepted
+    assert bank.pushes > 0.9

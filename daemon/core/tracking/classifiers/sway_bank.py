@@ -49,6 +49,7 @@ DRIVEN_OMEGA = 2.0 * math.pi * 1.2  # frequency that ``SwaySettings.driven`` is 
 PUSHES_S = 3.0  # time constant of the pushes that are remembered [s]
 SINGLE, REPEATED = 0.5, 2.0  # pushes that one push leaves after 2 s, and that make a sway
 FIRST_S = 1.0  # of readings before the first evaluation [s]
+MOST_REJECTED = 8  # readings in a row that the unit alone rejects, after which it is wrong
 
 
 class SwayFit(Struct, frozen=True, eq=False):
@@ -90,6 +91,7 @@ class SwayBank(Struct, frozen=True, eq=False):
         energy: weighted sum of squares.
         count: number of readings that it remembers.
         unit: of the conveyor as the distance sensor alone sees it.
+        rejected: readings in a row that the unit alone rejected.
         base: the first reading of the body against the unit [m]; None before.
         source: of the last reading of the body.
         pushes: number of pushes that it remembers.
@@ -111,6 +113,7 @@ class SwayBank(Struct, frozen=True, eq=False):
     since_reading: float = 0.0
     since_evaluation: float = 0.0
     age: float = 0.0
+    rejected: int = 0
 
 
 class Grid(Struct, frozen=True, eq=False):
@@ -199,6 +202,7 @@ def predict(
         since_reading=bank.since_reading + dt,
         since_evaluation=bank.since_evaluation + dt,
         age=bank.age + dt,
+        rejected=bank.rejected,
     )
 
 
@@ -213,17 +217,35 @@ def change_class(settings: SwaySettings, bank: SwayBank, change: float, age: flo
     return replace(bank, forced=bank.forced + late, unit=unit)
 
 
-def read_unit(bank: SwayBank, measurement: PositionMeasurement, speed: float) -> SwayBank:
+def read_unit(
+    bank: SwayBank, measurement: PositionMeasurement, speed: float, *, is_accepted: bool = True
+) -> SwayBank:
     """Return the bank after one reading of the distance sensor.
 
     Args:
         speed: of the conveyor [m/s], where it is not estimated yet.
+        is_accepted: the filter takes the reading: the sensor is right.
     """
     unit = bank.unit
     if unit is None:
         unit = first_estimate(measurement, speed)
     value = measurement.value + unit.speed * measurement.delay
-    return replace(bank, unit=unit.read(value, measurement.variance, measurement.gate))
+    later = unit.read(value, measurement.variance, measurement.gate)
+    rejected = 0 if later is not unit else bank.rejected + is_accepted
+    return replace(bank, unit=later, rejected=rejected)
+
+
+def with_unit_found(
+    settings: SwaySettings, bank: SwayBank, measurement: PositionMeasurement, speed: float
+) -> SwayBank:
+    """Return the bank begun again where its unit has rejected reading after reading.
+
+    What the body did against a unit that was lost is wrong. A sway that was taken over then moved
+    the object by 0.2 m.
+    """
+    if bank.rejected < MOST_REJECTED:
+        return bank
+    return replace(empty(settings), unit=first_estimate(measurement, speed), pushes=bank.pushes)
 
 
 def read(

@@ -6,7 +6,7 @@ signature contains the sway that it forces, because both go through the same tra
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -73,7 +73,7 @@ def follow(
     state = with_held_frequency(model, predicted, state)
     if state.sways is None:
         return state
-    sways = _read(model, predicted, state.sways, measurements)
+    sways = _read(model, predicted, state.sways, measurements, state.rejected)
     sways = _changed_class(model, predicted, state, sways)
     if ("push", "confirmed") in state.events:
         sways = sway_bank.count_push(sways)
@@ -151,14 +151,24 @@ def touched(state: BankState, pushed: float = 0.0) -> BankState:
 
 
 def _read(
-    model: BankModel, state: BankState, sways: SwayBank, measurements: Sequence[PositionMeasurement]
+    model: BankModel,
+    state: BankState,
+    sways: SwayBank,
+    measurements: Sequence[PositionMeasurement],
+    rejected: Mapping[Source, int],
 ) -> SwayBank:
-    """Return the regressions after the readings."""
+    """Return the regressions after the readings.
+
+    Args:
+        rejected: by the filter in a row, by sensor.
+    """
     acceleration = float(state.x[ACCELERATION]) if state.motion in RAMPS else 0.0
     for measurement in measurements:
         if measurement.source is Source.DISTANCE:
             if state.age > SETTLED_S:
-                sways = sway_bank.read_unit(sways, measurement, float(state.x[V]))
+                speed, is_accepted = float(state.x[V]), not rejected.get(Source.DISTANCE)
+                sways = sway_bank.read_unit(sways, measurement, speed, is_accepted=is_accepted)
+                sways = sway_bank.with_unit_found(model.sway, sways, measurement, speed)
         else:
             sways = sway_bank.read(model.sway, sways, measurement, acceleration, state.class_age)
     return sways
