@@ -59,6 +59,7 @@ _PARTS = {
     "tracking.hypotheses:Bank": "tracking.classifiers.onset_bank:OnsetBank",
     "tracking.hypotheses:Verdict": "tracking.classifiers.onset_bank:OnsetPosterior",
     "tracking.linear_axis:AxisPlan": "tracking.linear_axis:AxisPlan",
+    "tracking.noise:MeasuredNoise": "tracking.classifiers.distance.measured_noise:MeasuredNoise",
     "tracking.observation:History": "tracking.observation:History",
     "tracking.observation:Sighting": "tracking.observation:PoseMeasurement",
     "tracking.ramp_check:StartCheck": "tracking.classifiers.start_check:StartCheck",

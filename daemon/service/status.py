@@ -9,6 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
+    AS_CONFIGURED,
+    LEAST_NIS,
+    MeasuredNoise,
+)
 from linemate.daemon.core.tracking.touch import tare
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
@@ -133,6 +138,14 @@ def _lag(cycle: Cycle) -> float:
     return 0.0 if last is None or last.after is None else last.after.tracker.lead
 
 
+def _distance_noise(cycle: Cycle) -> MeasuredNoise:
+    """Return the distance sensor's noise as its readings show it."""
+    last = cycle.last
+    if last is None or last.after is None:
+        return AS_CONFIGURED
+    return last.after.tracker.distance_noise
+
+
 def _weights(cycle: Cycle) -> tuple[float, float] | None:
     """Return the payload's weight by the sensor, and as known [N]; None if nothing shows it."""
     last = cycle.last
@@ -206,18 +219,30 @@ def _complaints(
             f"the dead time has drifted by {drift['drift_ms']} ms, limit {drift['least_ms']} to "
             f"{drift['most_ms']} ms. Identify the servos again, or widen control.drift."
         )
-    lag_s = _lag(snapshot.cycle)
+    yield from _differences(snapshot.cycle)
+    if snapshot.recorder is not None and snapshot.recorder.failure:
+        yield f"recording ended: {snapshot.recorder.failure}"
+    if snapshot.counters.get("faults"):
+        yield f"{snapshot.counters['faults']} faults in the cycle, see the log"
+
+
+def _differences(cycle: Cycle) -> Iterator[str]:
+    """Return what differs from the configuration, as the sensors show it."""
+    lag_s = _lag(cycle)
     if abs(lag_s) > LAGS_S:
         kind = "more" if lag_s > 0.0 else "less"
         lag = f"{1e3 * abs(lag_s):.0f} ms {kind}"
         yield f"the robot lags by {lag} than its servo models: identify the servos"
-    weights = _weights(snapshot.cycle)
+    weights = _weights(cycle)
     if weights is not None and tare.is_misjudged(*weights):
         yield (
             f"the tool's payload weighs {weights[0]:.0f} N by the force-torque sensor, "
             f"{weights[1]:.0f} N by tracking.payload.mass. Weigh it, or zero the sensor without it."
         )
-    if snapshot.recorder is not None and snapshot.recorder.failure:
-        yield f"recording ended: {snapshot.recorder.failure}"
-    if snapshot.counters.get("faults"):
-        yield f"{snapshot.counters['faults']} faults in the cycle, see the log"
+    noise = _distance_noise(cycle)
+    if noise.inflation > 1.0:
+        factor, limit = math.sqrt(noise.nis), math.sqrt(LEAST_NIS)
+        yield (
+            f"distance sensor noisier than configured: factor {factor:.1f}, limit {limit:.1f}. "
+            "Identify tracking.distance.deviation, or check the sensor."
+        )

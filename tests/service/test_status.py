@@ -15,6 +15,10 @@ from linemate.daemon.core.control import dead_time
 from linemate.daemon.core.control.dead_time import compile_drift
 from linemate.daemon.core.control.settings import ControlSettings, DeadTimeDrift
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
+    AS_CONFIGURED,
+    MeasuredNoise,
+)
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.touch import tare
@@ -127,11 +131,25 @@ def test_a_robot_that_lags_more_than_identified_is_a_complaint(
     assert [text in each for each in lags] == ([True] if text else [])
 
 
+@pytest.mark.parametrize(("nis", "inflation"), [(1.9, 1.0), (23.0, 32.0)])
+def test_a_distance_sensor_that_is_noisier_than_configured_is_a_complaint(
+    app: App, nis: float, inflation: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    noise = MeasuredNoise(nis=nis, inflation=inflation)
+    complaints = complained(app, monkeypatch, tare.NO_TARE, 0.0, noise)
+    shown = [each for each in complaints if "distance sensor noisier" in each]
+    assert ["factor 4.8" in each for each in shown] == ([True] if inflation > 1.0 else [])
+
+
 def complained(
-    app: App, monkeypatch: pytest.MonkeyPatch, hung: tare.Tare, lead: float
+    app: App,
+    monkeypatch: pytest.MonkeyPatch,
+    hung: tare.Tare,
+    lead: float,
+    noise: MeasuredNoise = AS_CONFIGURED,
 ) -> list[str]:
-    """Return the complaints after a step with a tare and a lead."""
-    tracker = SimpleNamespace(tare=hung, lead=lead)
+    """Return the complaints after a step with a tare, a lead and a distance sensor's noise."""
+    tracker = SimpleNamespace(tare=hung, lead=lead, distance_noise=noise)
     after = SimpleNamespace(tracker=tracker, control=SimpleNamespace(drift=None))
     monkeypatch.setattr(app.cycle, "last", SimpleNamespace(after=after))
     monkeypatch.setattr(status, "covered", lambda _: frozenset())

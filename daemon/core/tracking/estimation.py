@@ -10,6 +10,8 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import stop_input
+from linemate.daemon.core.tracking.classifiers.distance import measured_noise
+from linemate.daemon.core.tracking.classifiers.distance.measured_noise import MeasuredNoise
 from linemate.daemon.core.tracking.conveyor import (
     ConveyorEstimate,
     Motion,
@@ -89,10 +91,7 @@ def estimate(
     felt = wrench if is_force_used(tracker, state, wrench) else None
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
     first_poses = _pose_measurements(tracker, history, samples, felt, state.bolts)
-    rows = [
-        distance_measurement(tracker, samples.stamp_ns, *block)
-        for block in mean_distances(samples.distance)
-    ]
+    rows, distance_noise = _distance_rows(tracker, state, samples)
     rejected, waiting, pose_ns = 0, state.first_poses, state.pose_ns
     oscillation = compliance.uncertainty(state.compliance, tracker.compliance)
     for source, measured, gate in first_poses:
@@ -143,6 +142,7 @@ def estimate(
         held=_held(tracker, state, seen, transverse),
         leaning=leaning,
         units=_with_unit(tracker, state, samples.stamp_ns, view),
+        distance_noise=distance_noise,
     )
     return state, view, rejected, wrench
 
@@ -459,6 +459,20 @@ def distance_measurement(
     delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
     variance = noise.deviation**2 / count
     return PositionMeasurement(Source.DISTANCE, float(value), delay, variance, noise.gate)
+
+
+def _distance_rows(
+    tracker: Tracker, state: TrackerState, samples: StepSamples
+) -> tuple[list[PositionMeasurement], MeasuredNoise]:
+    """Return the distance sensor's rows with the variance that is believed, and their noise."""
+    rows = [
+        distance_measurement(tracker, samples.stamp_ns, *block)
+        for block in mean_distances(samples.distance)
+    ]
+    noise = measured_noise.update(state.distance_noise, rows, tracker.cycle_s)
+    if noise.inflation > 1.0:
+        rows = [replace(row, variance=noise.inflation * row.variance) for row in rows]
+    return rows, noise
 
 
 def _along_measurement(

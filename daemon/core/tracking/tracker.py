@@ -41,7 +41,13 @@ from linemate.daemon.core.tracking.touch import (
     touch_proof,
     withdrawal,
 )
-from linemate.daemon.core.tracking.tracker_state import Report, StepSamples, Tracker, TrackerState
+from linemate.daemon.core.tracking.tracker_state import (
+    Report,
+    StepSamples,
+    Tracker,
+    TrackerState,
+    with_distance_noise,
+)
 from linemate.daemon.core.tracking.transverse import TransverseState
 
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
@@ -189,6 +195,7 @@ def track(
 
     ``contact_decision`` follows later: it needs the delivery of the last command.
     """
+    tracker = with_distance_noise(tracker, state.distance_noise.inflation)
     if is_seated(tracker, state) and state.search is not guard.NO_SEARCH:
         state = _end_search(state)
     was_soft = state.compliance.is_softened
@@ -441,6 +448,7 @@ def observe(
 
     A tool on the object is asked to release it: the object may go on.
     """
+    tracker = with_distance_noise(tracker, state.distance_noise.inflation)
     state, view, rejected, wrench = estimate(tracker, state, samples)
     state = note(tracker, state, view)
     if state.contact:

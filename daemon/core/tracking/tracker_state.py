@@ -2,13 +2,18 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
+    AS_CONFIGURED,
+    MeasuredNoise,
+)
 from linemate.daemon.core.tracking.conveyor import Classifier, Motion
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING, ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
@@ -111,6 +116,16 @@ class Tracker:
         return self.merge_clamped if in_contact else self.merge_free
 
 
+@lru_cache(maxsize=4)
+def with_distance_noise(tracker: Tracker, inflation: float) -> Tracker:
+    """Return the parameters for a distance sensor whose variance is larger by a factor."""
+    if inflation == 1.0:
+        return tracker
+    classifier: Any = tracker.classifier
+    deviation = math.sqrt(inflation) * classifier.distance_deviation
+    return replace(tracker, classifier=replace(classifier, distance_deviation=deviation))
+
+
 class TrackerState(Struct, frozen=True, eq=False):
     """State of tracking.
 
@@ -187,6 +202,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         force_sign: whether the force on the clamped tool measures the object.
         bolts: search for the angle of bolts that do not enter.
         beyond_s: for which a touch has given more force than an object does [s].
+        distance_noise: of the distance sensor, as its readings show it.
     """
 
     history: History | None
@@ -254,6 +270,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     force_sign: ForceSign = TRUSTED
     bolts: BoltSearch = NO_BOLT_SEARCH
     beyond_s: float = 0.0
+    distance_noise: MeasuredNoise = AS_CONFIGURED
 
 
 class Report(Struct, frozen=True, eq=False):
