@@ -333,6 +333,28 @@ def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float
     assert float(x[Y] + x[OFFSET]) == pytest.approx(float(state.x[Y] + state.x[OFFSET]), abs=1e-6)
 
 
+def test_a_start_that_was_stronger_than_foreseen_makes_no_lag_a_speed() -> None:
+    state, _ = in_contact(3.0, 0.0)
+    led = state.guide
+    assert led is not None
+    behind = led.x.copy()
+    behind[Y], behind[V] = behind[Y] - 0.0016, behind[V] - 0.028
+    slow = structs.replace(led, x=behind)
+    before = structs.replace(state, motion=Motion.STARTING, guide=slow)
+    state = guide.advance(BANK, before, structs.replace(state, guide=slow), [], DT)
+    way, fastest = float(state.x[Y]), 0.0
+    for k in range(10):
+        at = way + SPEED * (k + 1) * DT
+        rows = [
+            PositionMeasurement(Source.DISTANCE, at, 0.001, 0.00038**2, 4.0),
+            PositionMeasurement(Source.TACTILE, at, 0.005, 3e-5**2, 20.0),
+        ]
+        state = BANK.advance(state, rows, DT)
+        assert state.guide is not None
+        fastest = max(fastest, float(state.guide.x[V]))
+    assert fastest < SPEED + 0.003
+
+
 def test_a_body_that_sways_on_cancels_no_stop_that_the_guide_follows() -> None:
     state, _ = in_contact(3.0, 0.0)
     led = state.guide

@@ -59,6 +59,7 @@ FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [
 LARGEST_PULL = 0.0003  # of a deflection on it: a body that rings by more is not driven by more [m]
 FARTHEST_FELT = 0.002  # from where the tool measures the object: 100 N on a mount of 50 N/mm [m]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
+LARGEST_SURPRISE = 0.005  # by which an end speed may differ from the foreseen one [m/s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
 
@@ -254,12 +255,14 @@ def _in_class(
     """Return the guide in another class.
 
     What the bank has confirmed or taken back, the guide takes over whole, but for where the tool
-    holds the object. Where a stop or a start ends it takes the speed.
+    holds the object. Where a stop or a start ends it takes the speed. One that it did not foresee
+    it takes over whole too: its own position lags by then, and would be read as a speed.
 
     Args:
         sways: a sway leads the target.
     """
-    if has_changed_class(state.events):
+    surprise = float(state.x[V]) - float(led.x[V])
+    if has_changed_class(state.events) or abs(surprise) > LARGEST_SURPRISE:
         guide = synchronised(state)
         if not sways:
             guide = _swayed(guide, float(led.x[SWAY]))
@@ -269,5 +272,5 @@ def _in_class(
     x, P = led.x.copy(), led.P.copy()
     x[V], x[ACCELERATION] = state.x[V], 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
-    P[V, V] += (float(led.x[V]) - float(state.x[V])) ** 2
+    P[V, V] += surprise * surprise
     return replace(led, x=x, P=P)
