@@ -68,6 +68,15 @@ def test_a_sensor_that_is_noisier_than_configured_is_believed_less(
     assert 0.6 * factor**2 < states[-1].inflation < 4.0 * factor**2
 
 
+def test_a_noise_that_grows_is_followed_quickly() -> None:
+    needed = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        states = after(positions(400) + rng.normal(0.0, 5.0 * SIGMA, 400))
+        needed.append(next(k for k, each in enumerate(states) if each.inflation > 12.0))
+    assert np.median(needed) < 160
+
+
 def test_the_inflation_is_bounded_and_ends_with_the_noise() -> None:
     rng = np.random.default_rng(2)
     readings = positions(4000)

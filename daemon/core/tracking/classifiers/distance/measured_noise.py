@@ -64,7 +64,10 @@ def update(
             ratio = min(LARGEST_RATIO, off / nis)
             nis = max(nis + nis * (ratio / MEAN_RATIO - 1.0) / count, SMALLEST_NIS)
         latest = (*latest[-1:], newest)
-    return MeasuredNoise(latest, nis, count, _inflation(noise.inflation, nis))
+    inflation = _inflation(noise.inflation, nis)
+    # What was known of a smaller noise was wrong.
+    count = FEWEST if inflation > noise.inflation else count
+    return MeasuredNoise(latest, nis, count, inflation)
 
 
 def _off(latest: tuple[Reading, ...], newest: Reading) -> float | None:
