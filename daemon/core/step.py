@@ -545,7 +545,7 @@ def _outputs(
     signals = 0
     if tracker.fixing is not None and inputs.order is not MotionOrder.RETREAT:
         signals |= FIX_SCREWS
-    if tracker.releasing is not None:
+    if tracker.releasing is not None and not tracker.keeps:
         signals |= RELEASE_WHEEL
     return Outputs(
         k=inputs.k,

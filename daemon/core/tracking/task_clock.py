@@ -168,6 +168,7 @@ def advance_clock(
         state = replace(
             state,
             clamped=clamped,
+            keeps=_keeps(state, clamped=clamped),
             releasing=elapsed(state.releasing, True, T0),
             # A robot that gets no commands yet would catch up at its joints' limits.
             withdrawn=elapsed(state.withdrawn, not clamped and state.stood <= 0.0, T0),
@@ -196,6 +197,12 @@ def advance_clock(
         fixing=elapsed(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),
     )
+
+
+def _keeps(state: TrackerState, *, clamped: bool) -> bool:
+    """Return whether a retreat leaves the clamp closed: an open one drops what it carries."""
+    begins_free = state.keeps or state.releasing is None
+    return begins_free and not (clamped or state.contact)
 
 
 def _standing(tracker: Tracker, state: TrackerState, *, stands: bool) -> tuple[float, float]:
@@ -290,7 +297,8 @@ def open_gates(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, samples: StepSamples
 ) -> frozenset[Gate]:
     """Return the open gates, with those that open now."""
-    tool, fixing, releasing = tracker.task.tool, state.fixing, state.releasing
+    tool, fixing = tracker.task.tool, state.fixing
+    releasing = None if state.keeps else state.releasing
     gates = []
     if view is not None and view.position + view.offset >= tracker.reference.origin[1]:
         gates.append(Gate.OBJECT_CLOSE)

@@ -155,6 +155,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         unloading_s: in which the press goes since then, as it was ordered [s].
         withdrawn: time since an emergency retraction began [s]; None without.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
+        keeps: a retreat began from free space: the clamp stays closed, and holds what it carries.
         anchor: (6,) of a robot at rest from which an emergency retraction began: its pose, or its
             offset from the object while the task is started; None if it tracked.
         gone: way of an emergency retraction before it began again at rest [m].
@@ -229,6 +230,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     unloading_s: float = release.UNLOADING_S
     withdrawn: float | None = None
     clamped: bool = False
+    keeps: bool = False
     anchor: Array | None = None
     gone: float = 0.0
     further: float = 0.0

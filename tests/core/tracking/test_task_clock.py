@@ -1,5 +1,6 @@
 """Task clock: its ramps before contact, and the wait for a calm contact before the release."""
 
+import dataclasses as dc
 from functools import cache
 
 import numpy as np
@@ -13,8 +14,8 @@ from linemate.daemon.core.tracking.go_no_go import clock_ramp, evidence
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder, GoState, Zone
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import release
-from linemate.daemon.core.tracking.tracker import at_rest
+from linemate.daemon.core.tracking.touch import contact, release
+from linemate.daemon.core.tracking.tracker import at_rest, rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.simulators.harness import setup
 
@@ -95,6 +96,28 @@ def test_a_retreat_after_the_release_does_not_change_how_the_press_goes() -> Non
     assert later(released, 0.024, CALM, retreat=True).unloading_s == release.UNLOADING_S
     retreats = later(on_the_object(0.3), 0.024, CALM, retreat=True)
     assert retreats.unloading_s == release.RETREAT_S
+
+
+@pytest.mark.parametrize("released_after", [None, 0.1])
+def test_a_retreat_from_free_space_keeps_the_clamp_closed(released_after: float | None) -> None:
+    tracker = compiled()
+    tool = dc.replace(tracker.task.tool, released_after=released_after)
+    tracker = dc.replace(tracker, task=dc.replace(tracker.task, tool=tool))
+    free = replace(on_the_object(0.3), contact=False, passed=SIGHT, time=0.0)
+    for state, keeps in (
+        (free, True),
+        (replace(free, contact=True), False),
+        (replace(free, releasing=0.0), False),
+        (replace(free, contact_state=contact.ContactState(doubtful=True)), False),
+    ):
+        after = state
+        for _ in range(50):
+            after = task_clock.advance_clock(tracker, after, None, SAMPLES, True)
+        assert after.keeps is keeps
+        is_open = Gate.WHEEL_RELEASED in after.passed
+        assert is_open is (released_after is not None and not keeps)
+        # What stays closed after a retreat is opened once the tool is on an object.
+        assert not rest(tracker, after, np.zeros(6), 0.0).keeps
 
 
 SIGHT = frozenset({Gate.OBJECT_CLOSE, Gate.OBJECT_SEEN})
