@@ -31,6 +31,8 @@ from linemate.daemon.core.tracking import estimation, tracker, tracker_state
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.touch import held_bolts
+from linemate.daemon.core.tracking.touch.compliance import Compliance
+from linemate.daemon.core.tracking.touch.firmness import Firmness
 from linemate.daemon.core.tracking.touch.force_sign import TESTS, UNANSWERED, ForceSign
 from linemate.daemon.core.tracking.touch.withdrawal import WAY
 from linemate.daemon.recording import snapshot
@@ -320,6 +322,30 @@ def test_a_suspect_force_that_swings_is_observed_and_moves_no_target(assembly: A
         state = estimation.comply(P.tracker, state, samples, None, wrench, part)
     assert state.compliance.power > 20.0**2
     assert state.compliance.offset == offset
+
+
+def test_the_torque_of_a_swing_hardly_turns_the_object(assembly: Assembly) -> None:
+    k = assembly.outputs.index(assembly.at(7.5))
+    before, given = assembly.states[k].tracker, assembly.inputs[k : k + 80]
+    assert before.contact
+    turned = {}
+    for has_swung in (False, True):
+        firm = Firmness(is_firm=False, has_swung=has_swung)
+        swung = Compliance(past=(50.0**2,) * 10, power=50.0**2, firmness=firm)
+        state, angles = before, []
+        for n, inputs in enumerate(given):
+            torque = 10.0 * np.sin(6.0 * np.pi * n * P.cycle_s)
+            felt = tuple(replace(w, torque=(0.0, torque, 0.0)) for w in inputs.wrench)
+            samples = tracker_state.StepSamples(
+                inputs.stamp_ns, None, 0, inputs.distance, (), felt, 0
+            )
+            history = estimation.remember(state.history, inputs.stamp_ns, state.poses[0], 20)
+            state = replace(state, history=history, compliance=swung, touching=1.0)
+            state, *_ = estimation.estimate(P.tracker, state, samples)
+            off = before.transverse.rotation.T @ state.transverse.rotation
+            angles.append(np.linalg.norm(rotations.log(off)))
+        turned[has_swung] = max(angles)
+    assert turned[True] < 0.2 * turned[False]
 
 
 def test_the_tcp_is_where_the_object_wants_it_once_it_is_close(assembly: Assembly) -> None:

@@ -58,6 +58,7 @@ FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 # The offset of the compliance follows across; the screws turn the object by a milliradian at once.
 _SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
 _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
+_ROTATIONS = np.array((0.0, 0.0, 0.0, 1.0, 1.0, 1.0))
 # Times the sigma of a deflection that follows an oscillation which it drives.
 DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
@@ -304,7 +305,10 @@ def _yielding(
         return replace(measured, position=position)
     factor = tracker.settings.tactile.compliance**2
     slower = _inflation(state) * _SLOWER
-    variance = factor * (slower * measured.variance + _TRANSLATIONS * oscillation)
+    # The torque swings with the force: it would turn the target, which drove the swing.
+    share = oscillation / float(measured.variance[:3].mean())
+    turned = share * _ROTATIONS * measured.variance
+    variance = factor * (slower * measured.variance + _TRANSLATIONS * oscillation + turned)
     return replace(measured, position=position, variance=variance)
 
 

@@ -220,6 +220,15 @@ def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_unending(
     assert compliance.unending(swung(amplitudes), OVERLOAD_N) is None
 
 
+def test_a_large_oscillation_that_has_become_small_is_not_unending() -> None:
+    large = swung([200.0, 200.0, 200.0], 2.0)
+    assert compliance.unending(large, OVERLOAD_N) is not None
+    small = followed(0.5, 100.0, 0.0, frequency_hz=2.0, state=large)
+    # Its largest mean square of the last second is still that of the second before.
+    assert max(small.past[-compliance.SECOND :]) > 0.95 * max(large.past)
+    assert compliance.unending(small, OVERLOAD_N) is None
+
+
 def test_a_force_in_every_second_cycle_counts_as_one_in_every_cycle_of_twice_the_length() -> None:
     coarse = ComplianceModel(stiffness=50e3, delays=(12, 10, 12), dt=0.004)
     fine = ComplianceModel(stiffness=50e3, delays=(24, 20, 24), dt=0.002)

@@ -280,7 +280,8 @@ def unending(state: Compliance, overload: float) -> float | None:
     """Return the rms force of an oscillation that softening does not make smaller [N], or None.
 
     The largest of the last second is compared with that of the second before: one second is longer
-    than a period of the slowest sway that a contact is known to drive.
+    than a period of the slowest sway that a contact is known to drive. One that has become small
+    since then falls.
 
     Args:
         overload: force that the tool withstands [N].
@@ -289,6 +290,8 @@ def unending(state: Compliance, overload: float) -> float | None:
         return None
     before, largest = (max(state.past[-n * SECOND :][:SECOND]) for n in (2, 1))
     limit = (UNENDING * overload) ** 2
+    if state.power < limit:
+        return None
     # One that is kicked again gets its second to fall.
     least = max(FALLS * before, limit) if before >= limit else math.inf
     return math.sqrt(largest) if largest >= least else None
