@@ -5,7 +5,8 @@ Invariants:
     The client speaks first. Status packets go out between START and STOP alone.
     A command of another version, style, number or axis, a second one in a cycle, and one beyond a
     limit raise an alarm, which ends the motion until the operator resets it.
-    Without a command the setpoints go on at their speed; after ``silence_s`` an alarm stops them.
+    Without a command the setpoints go on at their speed; after ``silence_s`` an alarm stops them,
+    whatever STOP and START a client that was started again has sent.
 """
 
 import math
@@ -135,6 +136,7 @@ class FanucController:
         self._stream = _Stream()
         self._answers: deque[bytes] = deque(maxlen=ANSWERS)
         self._tolerated = round(config.silence_s / config.cycle_s)
+        self._coasted = 0  # cycles that the setpoints went on at their speed
         self._cycle = -1
         self._signals = 0
 
@@ -247,20 +249,30 @@ class FanucController:
         if not self.takes_commands:
             # The program that is started again waits for its first command.
             stream.is_answered, stream.silent = False, 0
+            self._coasted = 0
             gate.stop()
             self.judge.hold(gate.position)
         elif stream.accepted is not None:
+            self._coasted = 0
             gate.accept(self._positions(stream.accepted))
             self.judge.judge(gate.position)
         else:
             gate.coast()
             self.judge.slip()
             self.judge.judge(gate.position)
+            self._coasted = self._coasted + 1 if self._moves else 0
+            if self._coasted > self._tolerated:
+                self._raise("silence", f"no command for {self.config.silence_s:g} s")
         if stream.accepted is not None and stream.accepted.is_last:
             stream.is_last = True
         return Applied(
             self._cycle, stream.sequence, self.setpoints, self._signals, outcome, clamped=False
         )
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the setpoints move."""
+        return any(abs(v) > _MOVING for v in self._gate.speed)
 
     def _on_start(self, version: int | None) -> None:
         if version not in {None, self.config.version}:
@@ -279,14 +291,13 @@ class FanucController:
         """Return the status packet's values at a cycle's start."""
         config, stream = self.config, self._stream
         x, y, z, a, b, c = reading.tcp
-        is_moving = any(abs(v) > _MOVING for v in self._gate.speed)
         io = bytearray(packets.NO_IO)
         if config.signals_byte is not None:
             io[config.signals_byte] = reading.digital_in & 0xFF
         return StatusPacket(
             config.version,
             stream.sequence,
-            (TAKES_COMMANDS if self.takes_commands else 0) | (MOVES if is_moving else 0),
+            (TAKES_COMMANDS if self.takes_commands else 0) | (MOVES if self._moves else 0),
             (ERROR if self.alarm is not None else 0)
             | (PENDANT if self.is_pendant_enabled else 0)
             | (EMERGENCY_STOP if self.is_emergency_stop else 0),

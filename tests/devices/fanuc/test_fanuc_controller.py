@@ -156,6 +156,23 @@ def test_silence_coasts_for_a_while_and_then_stops_with_an_alarm() -> None:
     assert robot.controller.alarm == "alarm silence: no command for 0.12 s"
 
 
+def test_a_client_that_starts_again_does_not_prolong_the_silence() -> None:
+    """The axes went on at their speed for 0.7 s, into the object, as no command followed."""
+    robot = Robot().start()
+    for _ in range(3):
+        robot.cycle(0.001)
+        robot.end()
+    for k in range(16):
+        if k == 9:  # both in one cycle
+            robot.controller.on_reply(packets.write_short(PacketKind.STOP, robot.version))
+            robot.start()
+        robot.controller.telegram()
+        robot.end()
+    assert robot.controller.alarm == "alarm silence: no command for 0.12 s"
+    resting = [robot.end() for _ in range(3)]
+    assert resting[2] == resting[1]
+
+
 def test_silence_before_the_first_command_raises_no_alarm() -> None:
     robot = Robot().start()
     for _ in range(100):
