@@ -17,7 +17,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
-from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.horizon import Array, KeptValues, exponential
 from linemate.daemon.core.lapack import dposv as _solve
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
@@ -536,10 +536,19 @@ class Transverse:
         angles, values = np.empty((len(self.swing), len(times))), state.x.tolist()
         for m, (swing, factor) in enumerate(self._with_factors(state)):
             w = swing.omega * factor
-            # One complex exponential is damping, cosine and sine at once.
-            turning = np.exp(complex(-swing.mode.damping * w, w) * times)
+            turning = self._turning[m](complex(-swing.mode.damping * w, w), times)
             angles[m] = (complex(values[swing.i], -values[swing.i + 1]) * turning).real
         return angles
+
+    @cached_property
+    def _turning(self) -> tuple[KeptValues[complex], ...]:
+        """Damping, cosine and sine of each swing over the horizon, by its pole."""
+        return tuple([KeptValues(exponential) for _ in self.swing])
+
+    @cached_property
+    def _lag(self) -> tuple[KeptValues[float], ...]:
+        """Share of a steady acceleration's way by which each swing is left behind."""
+        return tuple([KeptValues(_left_behind) for _ in self.swing])
 
     @cached_property
     def is_driven(self) -> bool:
@@ -558,7 +567,7 @@ class Transverse:
         angles = np.zeros((len(self.swing), len(times)))
         for m, (swing, factor) in enumerate(self._with_factors(state)):
             if swing.g >= 0:
-                share = np.sinc(swing.omega * factor / (2.0 * math.pi) * times) ** 2
+                share = self._lag[m](swing.omega * factor, times)
                 angles[m] = -float(state.x[swing.g]) / swing.mode.lever * share * added
         return angles
 
@@ -572,6 +581,11 @@ class Transverse:
             grown = math.exp(swing.mode.damping * w * delay)
             angles.append(grown * (c * math.cos(phase) - s * math.sin(phase)))
         return tuple(angles)
+
+
+def _left_behind(omega: float, times: Array) -> Array:
+    """Return 2 (1 - cos wt) / (wt)^2 (m,)."""
+    return np.asarray(np.sinc(omega / (2.0 * math.pi) * times) ** 2)
 
 
 def _median(rows: Sequence[Array]) -> Array:

@@ -169,3 +169,12 @@ def test_a_unit_that_is_lost_begins_again(is_accepted: bool) -> None:
     assert (bank.base is None) is is_accepted
     assert (bank.age == 0.0) is is_accepted
     assert bank.pushes > 0.9
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.05, 1.3])
+def test_a_response_at_one_time_is_that_of_many_bit_for_bit(damping: float) -> None:
+    times = np.linspace(0.0, 0.6, 301)
+    for omega in (0.7, 6.2, 19.0):
+        pole = omega * complex(-damping, 1.0)
+        single = [sway_bank.response_at(omega, pole, time) for time in times.tolist()]
+        assert single == [complex(sway_bank.response(omega, pole, time)) for time in times.tolist()]

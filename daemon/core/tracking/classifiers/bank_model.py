@@ -16,7 +16,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from msgspec import Struct
 
-from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.horizon import Array, ComplexArray, KeptValues, exponential
 from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS, has_say
 from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
@@ -181,6 +181,21 @@ class BankModel:
     ripple: RippleSettings = field(default_factory=RippleSettings)
     compliance: float = 1.0
     sway: SwaySettings = field(default_factory=SwaySettings)
+
+    @cached_property
+    def ripple_decay(self) -> KeptValues[float]:
+        """Decay of the random ripple over the horizon, by its correlation time."""
+        return KeptValues(_decay)
+
+    @cached_property
+    def sway_turning(self) -> KeptValues[complex]:
+        """Turn and decay of the sway over the horizon, by its pole."""
+        return KeptValues(exponential)
+
+    @cached_property
+    def sway_response(self) -> KeptValues[tuple[float, complex]]:
+        """Response of the sway to an acceleration of 1, by its frequency and pole."""
+        return KeptValues(_response)
 
     @cached_property
     def changes(self) -> dict[Motion, float]:
@@ -438,7 +453,7 @@ class BankModel:
         product = float(state.x[GAIN]) * self.unit_acceleration(state)
         if product:
             pole = self.sway_pole(state)
-            forced = product * complex(sway_bank.response(state.sway_omega, pole, dt))
+            forced = product * sway_bank.response_at(state.sway_omega, pole, dt)
             x[SWAY] -= forced.real
             x[SWAY_QUADRATURE] += forced.imag
         return x
@@ -452,7 +467,7 @@ class BankModel:
         pole, values = self.sway_pole(state), state.x.tolist()
         back = cmath.exp(-pole * delay)
         c, s = back.real, back.imag
-        unforced = -(complex(sway_bank.response(state.sway_omega, pole, acted)) * back).real
+        unforced = -(sway_bank.response_at(state.sway_omega, pole, acted) * back).real
         h[ACCELERATION] += values[GAIN] * unforced
         h[SWAY], h[SWAY_QUADRATURE], h[GAIN] = c, s, values[ACCELERATION] * unforced
         way = state.sway_omega * delay
@@ -504,6 +519,16 @@ class BankModel:
         weights = state.impulse.weights
         best = max(self.impulse.omegas, key=lambda w: float(weights.dot(state.impulses.omega == w)))
         return float(best)
+
+
+def _decay(tau: float, times: Array) -> Array:
+    """Return e^(-t / tau) (m,)."""
+    return np.asarray(np.exp(times * (-1.0 / tau)))
+
+
+def _response(sway: tuple[float, complex], times: Array) -> ComplexArray:
+    """Return the response (m,) of a sway, by its frequency and pole."""
+    return sway_bank.response(*sway, times)
 
 
 @lru_cache(maxsize=32)

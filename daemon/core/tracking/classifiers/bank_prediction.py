@@ -59,7 +59,7 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
         nonlinear = nonlinear + weight * part
         if state.sway_omega:
             nonlinear = nonlinear + weight * sway_ahead(model, state, x, motion, times)
-    steady: Array = (y + r * tau) + v * times - (r * tau) * np.exp(times * (-1.0 / tau))
+    steady: Array = (y + r * tau) + v * times - (r * tau) * model.ripple_decay(tau, times)
     return steady + nonlinear
 
 
@@ -90,8 +90,9 @@ def _with_announcement(model: BankModel, state: BankState) -> BankState:
     They count for the prediction alone: the sensors must confirm a stop without them. The line
     knows of it by no sensor, so they add to what each of these says.
     """
-    latest_s = stop_input.counted_for(model.conveyor, model.distance_deviation)
-    if state.motion is not Motion.RUNNING or not state.announced_s < latest_s:
+    if state.announced_s == math.inf or state.motion is not Motion.RUNNING:
+        return state
+    if not state.announced_s < stop_input.counted_for(model.conveyor, model.distance_deviation):
         return state
     odds = stop_input.onset_odds(model.conveyor.stop_input, state.announced_s, state.changes.age)
     if odds is None:
@@ -236,12 +237,12 @@ def sway_ahead(
 ) -> Array:
     """Return the sway (m,) [m] at ``times``, forced by the acceleration until the ramp's end."""
     omega, pole = state.sway_omega, model.sway_pole(state)
-    sway = complex(x[SWAY], -x[SWAY_QUADRATURE]) * np.exp(pole * times)
+    sway = complex(x[SWAY], -x[SWAY_QUADRATURE]) * model.sway_turning(pole, times)
     v, a = x[V], x[ACCELERATION]
     if motion in RAMPS and x[GAIN] and a:
         end = max(state.cruise - v, 0.0) / a if a > 0.0 else max(v, 0.0) / -a
         after = np.maximum(times - end, 0.0)
-        acted = sway_bank.response(omega, pole, times) - sway_bank.response(omega, pole, after)
+        acted = model.sway_response((omega, pole), times) - sway_bank.response(omega, pole, after)
         sway = sway + x[GAIN] * a * acted
     ahead: Array = sway.real
     return ahead

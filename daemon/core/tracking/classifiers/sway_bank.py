@@ -144,6 +144,22 @@ def response(
     return np.asarray(1j / omega * np.expm1(np.multiply(pole, times)) / pole, dtype=np.complex128)
 
 
+def response_at(omega: float, pole: complex, time: float) -> complex:
+    """Return B at one time, as ``response`` bit for bit, in half of its time."""
+    decay, turn = pole.real * time, pole.imag * time
+    half = math.sin(0.5 * turn)
+    real = math.expm1(decay) * math.cos(turn) - 2.0 * half * half
+    forced = 1j / omega * complex(real, math.exp(decay) * math.sin(turn))
+    x, y, p, q = forced.real, forced.imag, pole.real, pole.imag
+    if abs(p) >= abs(q):  # numpy's order of a complex division
+        ratio = q / p
+        scale = 1.0 / (p + q * ratio)
+        return complex((x + y * ratio) * scale, (y - x * ratio) * scale)
+    ratio = p / q
+    scale = 1.0 / (q + p * ratio)
+    return complex((x * ratio + y) * scale, (y * ratio - x) * scale)
+
+
 def empty(settings: SwaySettings) -> SwayBank:
     """Return the bank before the first reading."""
     count = len(grid(settings).omegas)
