@@ -13,6 +13,7 @@ from linemate.protocol.stamped_samples import Quaternion, Vector3
 
 SMALL = 1e-6
 EYE = np.eye(3)
+_NEXT, _AFTER_NEXT = np.array((1, 2, 0)), np.array((2, 0, 1))  # components of a cross product
 
 
 def skew(v: Array) -> Array:
@@ -198,10 +199,18 @@ def _log_quaternions(w: Array, vector: Array) -> Array:
     n = np.sqrt(x * x + y * y + z * z)
     # math's arc tangent, for numpy's depends on the processor in its last bit.
     angles = np.array(list(map(math.atan2, n.tolist(), w.tolist())))
-    small = n < SMALL
-    scale = 2.0 * np.where(small, 1.0, angles) / np.where(small, w, n)
+    if _is_above(n, SMALL):
+        scale = 2.0 * angles / n
+    else:
+        small = n < SMALL
+        scale = 2.0 * np.where(small, 1.0, angles) / np.where(small, w, n)
     logs: Array = vector * scale[:, None]
     return logs
+
+
+def _is_above(values: Array, bound: float) -> bool:
+    """Return whether all values reach a bound; NaN does not. argmin costs a third of min."""
+    return bool(values[values.argmin()] >= bound)
 
 
 def turned_many(r: Array, turn: Array, arm: Array) -> tuple[Array, Array]:
@@ -214,19 +223,24 @@ def turned_many(r: Array, turn: Array, arm: Array) -> tuple[Array, Array]:
         turn, arm: (3,), the same for all.
     """
     half = 0.5 * np.sqrt(np.einsum("ij,ij->i", r, r))
-    small = half < SMALL
-    sine = np.sin(half) / np.where(small, 1.0, half)
-    scale = 0.5 * np.where(small, 1.0 - half * half / 6.0, sine)
+    if _is_above(half, SMALL):
+        scale = 0.5 * (np.sin(half) / half)
+    else:
+        small = half < SMALL
+        sine = np.sin(half) / np.where(small, 1.0, half)
+        scale = 0.5 * np.where(small, 1.0 - half * half / 6.0, sine)
     w, x, y, z = exp_quaternion(*turn.tolist())
     q = np.concatenate((np.cos(half)[:, None], scale[:, None] * r), axis=1).dot(
-        np.array(((w, x, y, z), (-x, w, -z, y), (-y, z, w, -x), (-z, -y, x, w)))
+        np.array((w, x, y, z, -x, w, -z, y, -y, z, w, -x, -z, -y, x, w)).reshape(4, 4)
     )
     scalar, vector = q[:, 0], q[:, 1:]
-    if bool((scalar < 0.0).any()):
+    if not _is_above(scalar, 0.0):
         q *= np.where(scalar < 0.0, -1.0, 1.0)[:, None]
     # u + w t + v x t with t = 2 v x u is u turned by (w, v).
-    t = vector.dot(2.0 * skew(arm))
-    across = vector[:, (1, 2, 0)] * t[:, (2, 0, 1)] - vector[:, (2, 0, 1)] * t[:, (1, 2, 0)]
+    a, b, c = (2.0 * arm).tolist()
+    t = vector.dot(np.array((0.0, -c, b, c, 0.0, -a, -b, a, 0.0)).reshape(3, 3))
+    across = vector.take(_NEXT, axis=1) * t.take(_AFTER_NEXT, axis=1)
+    across -= vector.take(_AFTER_NEXT, axis=1) * t.take(_NEXT, axis=1)
     return _log_quaternions(scalar, vector), arm + scalar[:, None] * t + across
 
 
