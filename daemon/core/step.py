@@ -141,12 +141,11 @@ def _tcp(parameters: Parameters, joints: Array, wound: WindupState | None = None
 
 
 def _wound(
-    parameters: Parameters, wound: WindupState | None, robot: RobotSample | None
+    parameters: Parameters, wound: WindupState | None, joints: Array | None
 ) -> WindupState | None:
     """Return the windup after what a telegram reports."""
-    if parameters.controller.windup is None or robot is None:
+    if parameters.controller.windup is None or joints is None:
         return wound
-    joints = _joints(parameters, robot)
     if wound is None:
         return windup.begin(parameters.controller.windup, joints)
     return windup.follow(parameters.controller.windup, wound, joints)
@@ -177,7 +176,7 @@ def initial(
         before: of an earlier session, of which the drift of the dead times is kept.
     """
     joints = _joints(parameters, robot)
-    wound = _wound(parameters, None, robot)
+    wound = _wound(parameters, None, joints)
     pose = _tcp(parameters, joints, wound)
     drift = None if before is None else before.control.drift
     return StepState(
@@ -194,7 +193,7 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
     The object's estimate and the progress of the task are kept.
     """
     joints = _joints(parameters, robot)
-    wound = _wound(parameters, state.windup, robot)
+    wound = _wound(parameters, state.windup, joints)
     pose = _tcp(parameters, joints, wound)
     tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
     drift = state.control.drift
@@ -251,8 +250,9 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
         state: of the step before.
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
-    wound = _wound(parameters, state.windup, inputs.robot)
-    samples = _samples(inputs, parameters, wound)
+    joints = None if inputs.robot is None else _joints(parameters, inputs.robot)
+    wound = _wound(parameters, state.windup, joints)
+    samples = _samples(inputs, parameters, joints, wound)
     retreat = inputs.order is MotionOrder.RETREAT
     if inputs.order is MotionOrder.HOLD or (retreat and _brakes(state)):
         observed = tracking.observe(parameters.tracker, state.tracker, samples)
@@ -468,19 +468,16 @@ def _brakes(state: StepState) -> bool:
 
 
 def _samples(
-    inputs: Inputs, parameters: Parameters, wound: WindupState | None
+    inputs: Inputs, parameters: Parameters, joints: Array | None, wound: WindupState | None
 ) -> tracker_state.StepSamples:
-    tcp = stamp = None
-    if inputs.robot is not None:
-        tcp = _tcp(parameters, _joints(parameters, inputs.robot), wound)
-        stamp = inputs.robot.stamp_ns
+    tcp = None if joints is None else _tcp(parameters, joints, wound)
     wrench = inputs.wrench
     if parameters.wrench_frame is not None:
         wrench = tuple(wrench_frame.at_tcp(parameters.wrench_frame, sample) for sample in wrench)
     return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,
         tcp=tcp,
-        tcp_stamp_ns=stamp or 0,
+        tcp_stamp_ns=0 if inputs.robot is None else inputs.robot.stamp_ns,
         distance=inputs.distance,
         camera=inputs.camera,
         wrench=wrench,
@@ -585,7 +582,7 @@ def _is_finished(state: StepState, report: tracker_state.Report, parameters: Par
     if state.follow is not None:
         return followed_poses.is_over(state.follow, parameters.cycle_s)
     withdrawn = state.tracker.withdrawn
+    if report.phase is Phase.DONE or withdrawn is None:
+        return report.phase is Phase.DONE
     way = parameters.tracker.withdrawal
-    lasting = max(1.2 * way.duration, way.lasting(state.tracker.further))
-    is_withdrawn = withdrawn is not None and withdrawn > lasting
-    return report.phase is Phase.DONE or is_withdrawn
+    return withdrawn > max(1.2 * way.duration, way.lasting(state.tracker.further))

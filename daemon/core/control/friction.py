@@ -103,12 +103,12 @@ def overcome(
         drift_s: of the dead times.
     """
     corrected, rows = command.copy(), []
-    planned, last = motors.tolist(), len(motors) - 1
+    planned, last = motors.item, len(motors) - 1
     later = drift_s / friction.cycle_s
     for each, x, s, r in zip(friction.axes, state.motor, state.s, state.r, strict=True):
         place = min(max(each.lead + later, 0.0), float(last))
         low = min(int(place), last - 1)
-        before, after = planned[low][each.axis], planned[low + 1][each.axis]
+        before, after = planned(low, each.axis), planned(low + 1, each.axis)
         way = before + (place - low) * (after - before) - x
         x_later, s_later = windup.turned(x, s, way, each.travel)
         r_later = s_later + (r - s_later) * each.kept

@@ -10,6 +10,7 @@ Invariants:
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,7 +51,15 @@ def motors(bent: BentArm, wanted: Array) -> Array:
     The moments are computed at both ends and interpolated between them: over 0.2 s of an approach
     they are straight within a hundredth of a millimetre at the tcp.
     """
-    first, last = (bent.compliance * bent.arm.gravity(wanted[i]) for i in (0, -1))
-    share = np.arange(len(wanted)) / (len(wanted) - 1.0)
-    placed: Array = wanted + first + share[:, None] * (last - first)
+    first = bent.compliance * bent.arm.gravity(wanted[0])
+    last = bent.compliance * bent.arm.gravity(wanted[-1])
+    placed: Array = wanted + first + _shares(len(wanted)) * (last - first)
     return placed
+
+
+@lru_cache(maxsize=4)
+def _shares(count: int) -> Array:
+    """Return the share of the way from the first to the last of some rows (count, 1)."""
+    shares = (np.arange(count) / (count - 1.0))[:, None]
+    shares.setflags(write=False)
+    return shares

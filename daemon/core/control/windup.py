@@ -106,7 +106,8 @@ def _led(
 ) -> tuple[list[float], tuple[float, float]]:
     """Return one motor's positions for its link's, and its hysteresis at the second of them."""
     x, w = at
-    led, later = [wanted[0] + depth * w], at
+    led, later = [wanted[0] + depth * w], None
+    append, exp = led.append, math.exp
     # A tenth of a step's calls were in this loop: ``turned`` and ``min`` are written out.
     for q in wanted[1:]:
         way = q + depth * w - x
@@ -116,11 +117,11 @@ def _led(
         slope = slope if slope < LARGEST_SLOPE else LARGEST_SLOPE  # noqa: FURB136
         taken = end * way / (1.0 - slope) - JITTER
         if taken > 0.0:
-            x, w = x + end * taken, end + (w - end) * math.exp(-taken / travel)
-        if len(led) == 1:
+            x, w = x + end * taken, end + (w - end) * exp(-taken / travel)
+        if later is None:
             later = x, w
-        led.append(q + depth * w)
-    return led, later
+        append(q + depth * w)
+    return led, later or at
 
 
 def turned(x: float, w: float, way: float, travel: float) -> tuple[float, float]:

@@ -94,7 +94,7 @@ def sensed(
     tcp = terms.T.dot(adds)
     now_in_c = terms[at_rest:, 0].dot(adds[at_rest:])
     programmed = relative[:, 3:]
-    if turned and bool(np.abs(programmed).max() > 0.0):
+    if turned and np.count_nonzero(programmed):
         own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)
         tcp[:, 3:] = rotations.log_many(own)
     return tcp, now_in_c

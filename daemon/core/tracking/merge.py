@@ -257,7 +257,7 @@ def merge(old: Array, goal: Array, plan: MergePlan, calming: int = 0) -> tuple[A
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     late = late[:, :, 0].T
     swings = np.abs(late[:, :3])
-    if calming or float(swings.max()) > LARGEST_SWING:  # seldom
+    if calming or float(np.maximum.reduce(swings, axis=None)) > LARGEST_SWING:  # seldom
         now = merged[commit] - goal[commit]
         rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
         known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])

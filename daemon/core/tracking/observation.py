@@ -44,7 +44,7 @@ def remember(history: History | None, stamp_ns: int, pose: Array, length: int) -
     if stamp_ns <= history.stamps_ns[-1]:
         return history
     keep = slice(-(length - 1), None)
-    return History((*history.stamps_ns[keep], stamp_ns), (*history.poses[keep], pose.copy()))
+    return History(history.stamps_ns[keep] + (stamp_ns,), history.poses[keep] + (pose.copy(),))
 
 
 def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:

@@ -267,9 +267,10 @@ class BankClassifier(BankModel):
 
         The distance sensor must agree: a body that sways looks like it.
         """
-        prior, bank = self.stronger_priors.get(state.motion), onset_bank.oldest(state.changes)
-        if prior is None or not len(bank):
+        prior = self.stronger_priors.get(state.motion)
+        if prior is None or not len(state.changes):
             return None
+        bank = onset_bank.oldest(state.changes)
         stronger = onset_bank.posterior(bank, prior)
         if stronger.odds < max(self.bank.perceived, state.change.odds):
             return None

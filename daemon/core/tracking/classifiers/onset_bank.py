@@ -234,7 +234,10 @@ def likelier(
         result: posterior with the usual prior.
         asked: log likelihood ratio that the best amplitude must have for the other to be asked.
     """
-    if not result.variance or float((bank.B * bank.B - 2.0 * asked * bank.A).max()) <= 0.0:
+    if not result.variance:
+        return result
+    beyond = bank.B * bank.B - 2.0 * asked * bank.A
+    if float(beyond[beyond.argmax()]) <= 0.0:
         return result
     wider = posterior(bank, other)
     return wider if wider.odds > result.odds else result

@@ -191,7 +191,7 @@ def _deviation(
     transverse = state.transverse
     assert transverse is not None  # noqa: S101 - callers have checked
     H = tracker.transverse.observation_rows(transverse, -ahead)
-    variance = (H.dot(transverse.P) * H).sum(axis=1)
+    variance = np.add.reduce(H.dot(transverse.P) * H, axis=1)
     across = float(variance[X]) + tracker.settings.fusion.position**2 * ahead
     turned = float(variance[TURN:STATIC].sum()) + 3.0 * tracker.settings.fusion.angle**2 * ahead
     return math.sqrt(max(across + along**2, 0.0)), math.sqrt(max(turned, 0.0))
