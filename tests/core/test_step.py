@@ -324,6 +324,19 @@ def test_a_suspect_force_that_swings_is_observed_and_moves_no_target(assembly: A
     assert state.compliance.offset == offset
 
 
+def test_a_wheel_whose_screws_are_not_fixed_is_kept_in_a_larger_oscillation(
+    assembly: Assembly,
+) -> None:
+    state = assembly.states[assembly.outputs.index(assembly.at(7.5))].tracker
+    assert Gate.SCREWS_FIXED not in state.passed
+    # 120 N rms for two seconds: between a quarter and a half of the overload.
+    swings = Compliance(past=(120.0**2,) * 20, power=120.0**2, softened=2.0)
+    state = replace(state, compliance=swings)
+    assert tracker.swinging(P.tracker, state) is None
+    fixed = replace(state, passed=state.passed | {Gate.SCREWS_FIXED})
+    assert tracker.swinging(P.tracker, fixed) == pytest.approx(120.0)
+
+
 def test_the_torque_of_a_swing_hardly_turns_the_object(assembly: Assembly) -> None:
     k = assembly.outputs.index(assembly.at(7.5))
     before, given = assembly.states[k].tracker, assembly.inputs[k : k + 80]

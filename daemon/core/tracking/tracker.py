@@ -512,7 +512,11 @@ def swinging(tracker: Tracker, state: TrackerState) -> float | None:
     """Return the rms force [N] of an oscillation in contact that goes on though softened."""
     if not state.contact:
         return None
-    return compliance.unending(state.compliance, tracker.settings.tactile.overload_force)
+    share = compliance.UNENDING
+    if Gate.SCREWS_FIXED not in state.passed and state.releasing is None:
+        gates = [gate for _, gate in tracker.reference.gated]
+        share = compliance.UNSECURED if Gate.SCREWS_FIXED in gates else share
+    return compliance.unending(state.compliance, tracker.settings.tactile.overload_force, share)
 
 
 def unanswered(tracker: Tracker, state: TrackerState) -> float | None:

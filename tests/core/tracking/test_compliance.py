@@ -220,6 +220,13 @@ def test_an_oscillation_that_is_small_or_falls_or_is_young_is_not_unending(
     assert compliance.unending(swung(amplitudes), OVERLOAD_N) is None
 
 
+def test_an_oscillation_is_worth_a_dropped_wheel_from_half_of_the_overload_only() -> None:
+    state = swung([200.0, 200.0, 210.0, 210.0], 2.0)
+    assert compliance.unending(state, OVERLOAD_N, compliance.UNSECURED) is None
+    larger = swung([300.0, 300.0, 310.0, 310.0], 2.0)
+    assert compliance.unending(larger, OVERLOAD_N, compliance.UNSECURED) is not None
+
+
 def test_a_large_oscillation_that_has_become_small_is_not_unending() -> None:
     large = swung([200.0, 200.0, 200.0], 2.0)
     assert compliance.unending(large, OVERLOAD_N) is not None

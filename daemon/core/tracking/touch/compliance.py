@@ -65,6 +65,7 @@ GROWTH = 1.5  # this factor in a second
 CALM = 0.5  # share of these at which the softening ends
 FALLS = 0.9  # of its mean square: what is left more after a second does not fall
 UNENDING = 0.25  # share of the overload, as rms, from which an oscillation must fall
+UNSECURED = 0.5  # the same while a retreat would drop the wheel: its screws are not fixed
 DRIVEN_N = 8.0  # rms from which an oscillation may be driven [N]
 DRIVEN_LEAST_N = 3.0  # and rms from which it has grown; less is noise [N]
 DRIVEN_GROWTH = 1.15  # of its largest mean square, from each second to the next
@@ -276,7 +277,7 @@ def is_driven(past: tuple[float, ...]) -> bool:
     return grows and first > DRIVEN_LEAST_N**2 and third > DRIVEN_N**2
 
 
-def unending(state: Compliance, overload: float) -> float | None:
+def unending(state: Compliance, overload: float, share: float = UNENDING) -> float | None:
     """Return the rms force of an oscillation that softening does not make smaller [N], or None.
 
     The largest of the last second is compared with that of the second before: one second is longer
@@ -285,11 +286,12 @@ def unending(state: Compliance, overload: float) -> float | None:
 
     Args:
         overload: force that the tool withstands [N].
+        share: of it, as rms, from which an oscillation must fall.
     """
     if state.softened < SOFTENED_S or len(state.past) < 2 * SECOND:
         return None
     before, largest = (max(state.past[-n * SECOND :][:SECOND]) for n in (2, 1))
-    limit = (UNENDING * overload) ** 2
+    limit = (share * overload) ** 2
     if state.power < limit:
         return None
     # One that is kicked again gets its second to fall.
