@@ -16,7 +16,7 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import SETTLING
@@ -573,19 +573,22 @@ def test_one_sample_of_overload_is_ignored_and_the_second_is_not(
     assert (station.cycle.machine.state is State.RETREAT) == retreats
 
 
+@pytest.mark.parametrize(("rms", "fixed"), [(90.0, True), (180.0, False)])
 def test_an_oscillation_that_goes_on_though_the_contact_is_softened_ends_in_a_retreat(
-    station: Station,
+    station: Station, rms: float, fixed: bool
 ) -> None:
     station.track(30)
     cycle = station.cycle
     assert cycle._state is not None
-    swings = Compliance(power=90.0**2, soft=True, softened=1.5, past=(90.0**2,) * 30)
+    swings = Compliance(power=rms**2, soft=True, softened=1.5, past=(rms**2,) * 30)
     touching = replace(cycle._state.tracker, contact=True, touching=2.0, compliance=swings)
+    if fixed:
+        touching = replace(touching, passed=touching.passed | {Gate.SCREWS_FIXED})
     cycle._state = replace(cycle._state, tracker=touching)
     for _ in range(5):
         station.exchange()
     assert cycle.machine.state is State.RETREAT
-    assert "an oscillation of 90 N rms does not fall" in (cycle.operating.cause or "")
+    assert f"an oscillation of {rms:.0f} N rms does not fall" in (cycle.operating.cause or "")
 
 
 def test_two_samples_of_overload_in_two_cycles_are_two_in_a_row(station: Station) -> None:
