@@ -248,21 +248,6 @@ def test_a_guide_counts_readings_of_the_distance_sensor_beyond_its_gate() -> Non
         assert state.guide.missed == expected
 
 
-def test_one_reading_of_the_distance_sensor_moves_no_uncertain_guide_far() -> None:
-    state, _ = in_contact(3.0, 0.0)
-    led = state.guide
-    assert led is not None
-    wide = led.P.copy()
-    wide[Y, Y], wide[V, V] = wide[Y, Y] + 0.002**2, wide[V, V] + 0.02**2
-    before = structs.replace(state, events=(), guide=structs.replace(led, P=wide))
-    way = float(BANK.predict_positions(before, np.array((DT,)))[0])
-    far = PositionMeasurement(Source.DISTANCE, way + 0.005, 0.0, 0.00038**2, 4.0)
-    moved = guide.advance(BANK, before, before, (far,), DT).guide
-    assert moved is not None
-    assert moved.missed == 0
-    assert 0.0 < float(moved.x[Y]) - way < 3.0 * 0.00038
-
-
 def moved_by(deflection: float) -> float:
     """By how much one deflection moves the guide [m]."""
     state, _ = in_contact(3.0, 0.0)

@@ -59,7 +59,6 @@ FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [
 LARGEST_PULL = 0.0003  # of a deflection on it: a body that rings by more is not driven by more [m]
 FARTHEST_FELT = 0.002  # from where the tool measures the object: 100 N on a mount of 50 N/mm [m]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
-LARGEST_READ = 3.0  # innovation of a reading that counts, times its deviation
 LARGEST_SURPRISE = 0.005  # by which an end speed may differ from the foreseen one [m/s]
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
@@ -160,10 +159,6 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     if not nu * nu <= measurement.gate**2 * S:
         return led
     K: Array = Ph / S
-    if measurement.source is not Source.TACTILE:
-        # Huber's bound: a reading that is taken again after many others moves nothing far.
-        far = LARGEST_READ * math.sqrt(variance)
-        nu = min(max(nu, -far), far)
     x = led.x + nu * K
     if measurement.source is Source.TACTILE:
         pull = min(max(nu, -LARGEST_PULL), LARGEST_PULL)
