@@ -165,11 +165,14 @@ def advance_clock(
     clamped = retreat and state.withdrawn is None
     clamped = clamped and _may_be_clamped(tracker, state, passed, moved)
     if retreat:
+        keeps = _keeps(state, clamped=clamped)
+        # A clamp that was kept closed is ordered to open only now.
+        begun = None if state.keeps and not keeps else state.releasing
         state = replace(
             state,
             clamped=clamped,
-            keeps=_keeps(state, clamped=clamped),
-            releasing=elapsed(state.releasing, True, T0),
+            keeps=keeps,
+            releasing=elapsed(begun, True, T0),
             # A robot that gets no commands yet would catch up at its joints' limits.
             withdrawn=elapsed(state.withdrawn, not clamped and state.stood <= 0.0, T0),
         )

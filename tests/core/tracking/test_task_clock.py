@@ -120,6 +120,23 @@ def test_a_retreat_from_free_space_keeps_the_clamp_closed(released_after: float 
         assert not rest(tracker, after, np.zeros(6), 0.0).keeps
 
 
+def test_a_clamp_that_was_kept_closed_gets_its_time_to_open_from_a_late_touch_on() -> None:
+    tracker = compiled()
+    tool = dc.replace(tracker.task.tool, released_after=0.1)
+    tracker = dc.replace(tracker, task=dc.replace(tracker.task, tool=tool))
+    state = replace(on_the_object(0.3), contact=False, passed=SIGHT, time=0.0)
+    for _ in range(50):
+        state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+    state = replace(state, contact=True, touching=0.0)
+    opened = []
+    for _ in range(20):
+        state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+        assert not state.keeps
+        opened.append(Gate.WHEEL_RELEASED in state.passed)
+    assert not any(opened[:8])
+    assert opened[-1]
+
+
 SIGHT = frozenset({Gate.OBJECT_CLOSE, Gate.OBJECT_SEEN})
 
 
