@@ -167,3 +167,35 @@ def test_a_start_is_confirmed_although_the_held_object_swings() -> None:
 def test_the_force_counts_where_the_object_is_firm() -> None:
     late = started(gives_way=False)
     assert late is None or late > 0.6
+
+
+def begun_before(speed: float, acceleration: float, seed: int) -> tuple[float, float] | None:
+    """The speed [m/s] and acceleration [m/s^2] of a start, 0.3 s after the conveyor "stood".
+
+    Args:
+        speed: that it had then [m/s].
+    """
+    readings = distance_check.since(kept(ramp(acceleration, 0.3 + speed / acceleration), seed), 0.3)
+    found = start(readings)
+    if found is None:
+        return None
+    found = distance_change.begun_before(readings, found, START, 3e-4, SIGMA)
+    return float(found.values[1]), float(found.values[2])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_start_before_the_conveyor_stood_has_its_speed_and_no_large_acceleration(
+    seed: int,
+) -> None:
+    found = begun_before(0.007, START, seed)
+    assert found is not None
+    assert found[0] == pytest.approx(0.007 + 0.3 * START, abs=0.003)
+    assert 0.0 < found[1] < 3.0 * START
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_start_that_is_faster_than_stated_is_none_that_began_before(seed: int) -> None:
+    readings = distance_check.since(kept(ramp(10.0 * START, 0.25), seed), 0.5)
+    found = start(readings)
+    assert found is not None
+    assert distance_change.begun_before(readings, found, START, 3e-4, SIGMA) is found

@@ -166,8 +166,25 @@ def test_a_true_start_soon_after_a_stop_is_not_denied_by_what_the_stop_moved(sto
         for k in range(round(declared_s / T0)):
             left = declared_s - k * T0
             if left < 0.5 + NOMINAL / STOP:
-                speed = max(speed + T0 * (0.03 if left < 0.4 else -STOP), 0.0)
+                speed = max(speed + T0 * (0.006 if left < 0.4 else -STOP), 0.0)
             position += speed * T0
             kept = distance_check.keep(kept, [row(position + rng.normal(0.0, DEVIATION))], T0)
         denials += start_check.deny(check, kept, 0.4, REST, DEVIATION) is not None
     assert denials == (20 if stood == np.inf else 0)
+
+
+@pytest.mark.parametrize(("acceleration", "expected"), [(0.013, 0), (0.0, 20)])
+def test_a_start_that_is_less_steep_than_declared_is_none_that_never_was(
+    acceleration: float, expected: int
+) -> None:
+    """A conveyor that is started again before it stands is never at rest."""
+    check, declared_s = StartCheck(Motion.STANDING, 0.0, acceleration=0.073, stood=0.3), 0.37
+    denials = 0
+    for seed in range(20):
+        rng, kept = np.random.default_rng(seed), NO_READINGS
+        for k in range(round((0.52 + declared_s) / T0)):
+            way = 0.5 * acceleration * (k * T0) ** 2 + rng.normal(0.0, DEVIATION)
+            kept = distance_check.keep(kept, [row(way)], T0)
+        check = structs.replace(check, age=declared_s)
+        denials += start_check.deny(check, kept, 0.163 + declared_s, REST, DEVIATION) is not None
+    assert denials == expected

@@ -337,8 +337,9 @@ class BankClassifier(BankModel):
         else:
             priors = priors[:1]  # a frozen sensor looks like a stop that is fast enough
         # Readings of the class before show a change that was decided already.
+        readings = distance_check.since(state.readings, state.class_age)
         change = distance_change.find(
-            distance_check.since(state.readings, state.class_age),
+            readings,
             self.changes[state.motion],
             speed,
             deviation,
@@ -349,6 +350,11 @@ class BankClassifier(BankModel):
         )
         if change is None:
             return None
+        if stands and state.class_age < distance_check.SPAN_S:
+            nominal = self.changes[state.motion]
+            change = distance_change.begun_before(
+                readings, change, nominal, deviation, self.distance_deviation
+            )
         return self._accept_by_distance(state, change, state.guide, complied)
 
     def _accept_by_distance(

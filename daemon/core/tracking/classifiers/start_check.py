@@ -113,6 +113,8 @@ def deny(
     odds = distance_check.log_odds(readings, onset, change, rest_deviation, deviation, ramp)
     if odds is None or odds > DENIED:
         return None
+    if ramp is None and _moves(distance_check.since(readings, SPAN_S), deviation):
+        return None  # a start less steep than declared, or one that began earlier
     speed = None if ramp is None else distance_check.speed_now(readings, ramp, deviation)
     if speed is None or speed <= 0.0:
         return StartRejection(Motion.STANDING, 0.0)
@@ -170,6 +172,12 @@ def _class_before(
     if check.before is Motion.STOPPING and speed > 0.0:
         return StartRejection(Motion.STOPPING, speed)
     return StartRejection(Motion.STANDING, 0.0)
+
+
+def _moves(readings: Array, deviation: float) -> bool:
+    """Return whether the conveyor certainly moves while these readings (2, m) are taken."""
+    speed, sigma = distance_check.mean_speed(readings, deviation)
+    return speed > SIGMAS * sigma
 
 
 def _mean_time(readings: Sequence[tuple[float, float]]) -> float:

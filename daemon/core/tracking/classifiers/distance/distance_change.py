@@ -29,6 +29,8 @@ from linemate.daemon.core.tracking.classifiers.onset_bank import (
 ONSETS = np.geomspace(0.06, 0.84, 24)  # time since the change began [s]
 LEAST_BEFORE_S = 0.12  # of readings before the onset, which show the motion without the change [s]
 MOST_ONSETS = math.log((ONSETS[-1] - ONSETS[0]) / COUNTED_S) + 1.0  # log of their number, and more
+MOVED_DEVIATION = 0.01  # one sigma of the speed of a change that began before [m/s]
+ACCELERATION_SHARE = 1.0  # one sigma of its acceleration, as a share of the nominal one
 LARGEST_RESIDUAL = 1.6  # rms residual of all readings and of those since the onset, in sigmas
 
 
@@ -109,6 +111,59 @@ def find(
     covariance[:2, :2] += deviation**2 * fit.inverse
     onset = float(np.tile(onsets, len(results)) @ weights)
     return DistanceChange(odds, onset, mean, covariance)
+
+
+def begun_before(
+    readings: Array,
+    declared: DistanceChange,
+    change: float,
+    speed_deviation: float,
+    deviation: float,
+) -> DistanceChange:
+    """Return the change as one that began before the readings if that explains them better.
+
+    A conveyor that is started again before it stands has a speed from the first reading on. Taken
+    for a start since then, 6 mm/s of it were 180 mm/s^2, and 22 mm/s at once.
+
+    Args:
+        readings: (2, m), ages [s] and positions [m], newest last: since the class began.
+        declared: change since then, from a steady motion without speed.
+        change, speed_deviation, deviation: as of ``find``.
+    """
+    ages, values = readings
+    way, times = values - values[-1], ages[0] - ages
+    ramped = 0.5 * change * times * times
+    basis = np.stack((np.ones_like(times), times, ramped))
+    moved = np.array((LEVEL_DEVIATION, MOVED_DEVIATION, ACCELERATION_SHARE)) ** 2
+    odds, fit, covariance = _evidence(basis, way - ramped, moved, deviation)
+    stood = np.array((LEVEL_DEVIATION, speed_deviation)) ** 2
+    if odds - _evidence(basis[:2], way, stood, deviation)[0] < declared.odds or fit[1] <= 0.0:
+        return declared
+    span = float(ages[0])
+    now = np.array(((1.0, span, ramped[-1]), (0.0, 1.0, change * span), (0.0, 0.0, change)))
+    moved_now, spread = declared.values.copy(), np.zeros_like(declared.covariance)
+    moved_now[:3] = now @ (fit + np.array((0.0, 0.0, 1.0)))
+    moved_now[0] += float(values[-1])
+    moved_now[3:] = 0.0
+    spread[:3, :3] = now @ covariance @ now.T
+    return DistanceChange(declared.odds, span, moved_now, spread)
+
+
+def _evidence(
+    basis: Array, way: Array, variances: Array, deviation: float
+) -> tuple[float, Array, Array]:
+    """Return the log evidence of a basis (r, m) for a way (m,), its shares and their covariance.
+
+    Args:
+        variances: (r,) of the shares before any reading.
+        deviation: one sigma of a reading [m].
+    """
+    information = basis @ basis.T / deviation**2 + np.diag(1.0 / variances)
+    covariance = np.linalg.inv(information)
+    heard = basis @ way / deviation**2
+    fit = covariance @ heard
+    occam = np.linalg.slogdet(information)[1] + np.log(variances).sum()
+    return 0.5 * float(heard @ fit - way @ way / deviation**2 - occam), fit, covariance
 
 
 class _ChangeFit(NamedTuple):

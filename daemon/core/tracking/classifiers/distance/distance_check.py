@@ -127,6 +127,15 @@ def speed_now(readings: Array, ramp: Ramp, deviation: float) -> float | None:
     return float(fit[1] + (1.0 + fit[2]) * ramp.acceleration * ramp.age)
 
 
+def mean_speed(readings: Array, deviation: float) -> tuple[float, float]:
+    """Return the mean speed over some readings (2, m), and one sigma of it [m/s]."""
+    ages, values = readings
+    basis = np.stack((np.ones_like(ages), -ages))
+    known = (LEVEL_DEVIATION**-2, RAMP_SPEED_DEVIATION**-2)
+    fit, covariance = _fit(basis, values - values[-1], _diagonal(known, deviation), deviation)
+    return float(fit[1]), deviation * float(covariance[1, 1]) ** 0.5
+
+
 def has_say(readings: Array) -> bool:
     """Return whether there are enough readings, the newest of them young enough."""
     ages = readings[0]
