@@ -70,3 +70,20 @@ def test_what_is_taken_up_is_not_taken_up_again() -> None:
 def test_a_new_class_keeps_the_side_alone() -> None:
     felt = after(stop(0.19))
     assert felt_drift.moved(felt) == FeltDrift(side=-1, kept_s=felt.kept_s)
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "expected"), [(0.6, False), (0.9, False), (2.7, True), (4.0, True)]
+)
+@pytest.mark.parametrize("dt", [0.004, 0.012])
+def test_a_swing_is_quick_if_half_of_it_is_no_longer_than_twice_the_delay(
+    frequency_hz: float, dt: float, *, expected: bool
+) -> None:
+    swing = [0.003 * math.sin(math.tau * frequency_hz * k * dt) for k in range(round(3.0 / dt))]
+    assert after(swing, dt).is_quick is expected
+
+
+def test_a_quick_swing_that_becomes_a_deflection_to_one_side_is_no_more_quick() -> None:
+    swing = [0.003 * math.sin(math.tau * 2.7 * k * DT) for k in range(84)]
+    assert after(swing).is_quick
+    assert not after([*swing, *[-0.004] * 30]).is_quick

@@ -19,6 +19,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     Y,
 )
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
@@ -248,12 +249,14 @@ def test_a_guide_counts_readings_of_the_distance_sensor_beyond_its_gate() -> Non
         assert state.guide.missed == expected
 
 
-def moved_by(deflection: float) -> float:
+def moved_by(deflection: float, felt: FeltDrift = UNFELT) -> float:
     """By how much one deflection moves the guide [m]."""
     state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    state = structs.replace(state, guide=structs.replace(state.guide, felt=felt))
     way = float(BANK.predict_positions(state, np.array((DT,)))[0])
-    felt = PositionMeasurement(Source.TACTILE, way + deflection, 0.0, 3e-5**2, 20.0)
-    led = BANK.advance(state, [felt], DT).guide
+    measured = PositionMeasurement(Source.TACTILE, way + deflection, 0.0, 3e-5**2, 20.0)
+    led = BANK.advance(state, [measured], DT).guide
     assert led is not None
     return float(led.x[Y]) - way
 
@@ -267,6 +270,12 @@ def test_a_body_that_rings_by_more_pulls_no_harder() -> None:
 def test_the_guide_is_never_far_from_where_the_tool_feels_the_object() -> None:
     assert moved_by(0.004) > 0.004 - guide.FARTHEST_FELT
     assert moved_by(-0.004) < guide.FARTHEST_FELT - 0.004
+
+
+def test_a_quick_swing_pulls_no_guide_that_would_follow_it_late() -> None:
+    swung = FeltDrift(side=1, kept_s=0.1, half_s=0.18)
+    assert abs(moved_by(0.004, swung)) < 0.0005
+    assert moved_by(0.004, structs.replace(swung, half_s=0.5)) > 0.004 - guide.FARTHEST_FELT
 
 
 def led_back(swing: float, grown: float) -> float:

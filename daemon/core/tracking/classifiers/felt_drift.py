@@ -13,6 +13,7 @@ Invariants:
 import math
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 AHEAD_S = 0.12  # in which a decision shows in the force: dead time, merge and servos [s]
 FARTHEST_AHEAD = 0.002  # of a deflection then: 100 N on a mount of 50 N/mm [m]
@@ -20,6 +21,7 @@ BAND = 0.001  # beyond it, after which the deflection is taken up whole [m]
 SMOOTHING_S = 0.024  # time constant of the drift [s]
 GROWN_S = 0.09  # for which it has drifted away: a quarter of a period of 2.8 Hz [s]
 SWING_M = 0.0003  # to each side; less is noise [m]
+QUICK_HALF_S = 0.25  # half a period that is no longer than twice the delay of what follows it [s]
 SWUNG_S = 1.0  # after which a change of side is forgotten: a period of 0.5 Hz is longer [s]
 
 
@@ -32,6 +34,7 @@ class FeltDrift(Struct, frozen=True):
         grows_s: for which it has grown to one side [s].
         side: of the last one beyond ``SWING_M``: 1 or -1, 0 before the first one.
         kept_s: since it changed its side [s].
+        half_s: for which it was on the side before [s].
     """
 
     off: float | None = None
@@ -39,6 +42,12 @@ class FeltDrift(Struct, frozen=True):
     grows_s: float = 0.0
     side: int = 0
     kept_s: float = math.inf
+    half_s: float = math.inf
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether it swings so quickly that a target which followed it would drive it."""
+        return self.half_s < QUICK_HALF_S and self.kept_s < QUICK_HALF_S
 
 
 UNFELT = FeltDrift()
@@ -52,15 +61,15 @@ def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
         dt: since the one before [s].
     """
     if before.off is None:
-        return FeltDrift(off=off, side=before.side, kept_s=before.kept_s)
+        return replace(before, off=off)
     gain = 1.0 - math.exp(-dt / SMOOTHING_S)
     speed = before.speed + gain * ((off - before.off) / dt - before.speed)
     grows = speed * before.speed > 0.0 and speed * off > 0.0
-    side, kept_s = before.side, before.kept_s + dt
+    side, kept_s, half_s = before.side, before.kept_s + dt, before.half_s
     if abs(off) > SWING_M and side * off <= 0.0:
-        kept_s = 0.0 if side else kept_s
+        kept_s, half_s = (0.0, kept_s) if side else (kept_s, half_s)
         side = 1 if off > 0.0 else -1
-    return FeltDrift(off, speed, before.grows_s + dt if grows else 0.0, side, kept_s)
+    return FeltDrift(off, speed, before.grows_s + dt if grows else 0.0, side, kept_s, half_s)
 
 
 def share_taken(felt: FeltDrift) -> float:
@@ -76,9 +85,9 @@ def taken(felt: FeltDrift, share: float) -> FeltDrift:
     if felt.off is None or not share:
         return felt
     left = 1.0 - share
-    return FeltDrift(left * felt.off, left * felt.speed, felt.grows_s, felt.side, felt.kept_s)
+    return replace(felt, off=left * felt.off, speed=left * felt.speed)
 
 
 def moved(felt: FeltDrift) -> FeltDrift:
     """Return what is left as the guide changes its class: the side to which it was."""
-    return FeltDrift(side=felt.side, kept_s=felt.kept_s)
+    return FeltDrift(side=felt.side, kept_s=felt.kept_s, half_s=felt.half_s)

@@ -92,7 +92,7 @@ def advance(
         return replace(state, guide=replace(synchronised(state), felt=felt))
     led, missed, felt = _predicted(model, state, guide, dt), guide.missed, guide.felt
     for measurement in measurements:
-        corrected = _corrected(model, led, measurement)
+        corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
             felt = felt_drift.observed(felt, off, before.felt_s + dt)
@@ -146,8 +146,14 @@ def _predicted(model: BankModel, state: BankState, guide: Guide, dt: float) -> B
     return replace(led, x=model.advanced(led, F, dt), P=_unled(led, P))
 
 
-def _corrected(model: BankModel, led: BankState, measurement: PositionMeasurement) -> BankState:
-    """Return (2)-(4) for one measurement; one beyond its gate changes nothing."""
+def _corrected(
+    model: BankModel, led: BankState, measurement: PositionMeasurement, *, is_quick: bool
+) -> BankState:
+    """Return (2)-(4) for one measurement; one beyond its gate changes nothing.
+
+    Args:
+        is_quick: the deflection swings to and fro quickly.
+    """
     h = model.observation_row(measurement, led)
     variance = measurement.variance
     if measurement.source is Source.TACTILE:
@@ -163,7 +169,7 @@ def _corrected(model: BankModel, led: BankState, measurement: PositionMeasuremen
     if measurement.source is Source.TACTILE:
         pull = min(max(nu, -LARGEST_PULL), LARGEST_PULL)
         x[:SWAY] = led.x[:SWAY] + pull * K[:SWAY]
-        far = nu - min(max(nu, -FARTHEST_FELT), FARTHEST_FELT)
+        far = 0.0 if is_quick else nu - min(max(nu, -FARTHEST_FELT), FARTHEST_FELT)
         x[Y] += far
         x[OFFSET] -= far
     low, high = RIPPLE_FACTORS
