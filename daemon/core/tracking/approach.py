@@ -41,11 +41,11 @@ class Part(Struct, frozen=True, eq=False):
     slopes: tuple[float, float] = (0.0, 0.0)
 
 
-def lead(before: float, off: float, speed: float, dt: float) -> float:
+def lead(before: float, off: float, speed: float, dt: float, *, is_whole: bool = False) -> float:
     """Return how far the goal is ahead of the object, for a robot with a longer dead time [s].
 
     A lag behind steady motion is a time: at rest there is none. What identified servos leave of it
-    is left alone.
+    is left alone, unless all of it is to go: in contact 0.8 mm bend the mount by 40 N on 50 N/mm.
 
     Args:
         before: the lead of the step before, which the plan has [s].
@@ -53,7 +53,8 @@ def lead(before: float, off: float, speed: float, dt: float) -> float:
         speed: of the object, not 0 [m/s].
     """
     lag = off + before * speed
-    beyond = lag - min(max(lag, -NORMAL_LAG), NORMAL_LAG)
+    normal = 0.0 if is_whole else NORMAL_LAG
+    beyond = lag - min(max(lag, -normal), normal)
     later = before - dt / LEAD_S * beyond / speed
     return min(max(later, -LARGEST_LEAD), LARGEST_LEAD)
 

@@ -308,7 +308,8 @@ def _lead(
     )
     if view is not None and is_steady and is_blended(state):
         off = float(rotations.exp(state.poses[0, 3:])[merge.ALONG].dot(state.following))
-        lead = approach.lead(state.lead, off, view.speed, tracker.cycle_s)
+        waits = state.oscillated is not None  # for the mount to be bent less
+        lead = approach.lead(state.lead, off, view.speed, tracker.cycle_s, is_whole=waits)
         state = state if lead == state.lead else replace(state, lead=lead)
     if state.lead == 0.0:
         return state, goal

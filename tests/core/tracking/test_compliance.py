@@ -152,6 +152,21 @@ def test_a_softened_contact_moves_no_offset() -> None:
     assert after.offset == before.offset
 
 
+def test_a_lasting_softened_contact_follows_a_bent_mount_slowly_and_hardly_a_swing() -> None:
+    """A mean deflection of 1.4 mm delayed the release by 10 s: the swing fell from 50 to 12 N."""
+    soft = Compliance(press=(0.0, 0.0, 0.0), power=3600.0, soft=True, firmness=GIVES_WAY.firmness)
+    bent, swung = soft, soft
+    for k in range(round(10.0 / MODEL.dt)):
+        swing = math.sin(math.tau * 1.0 * k * MODEL.dt)
+        force = (0.0, 25.0 * swing, 0.0)
+        bent = compliance.advance(bent, MODEL, force, (0.0, 0.0014, 0.0), SEATED)
+        swung = compliance.advance(swung, MODEL, force, (0.0, 0.001 * swing, 0.0), SEATED)
+        assert bent.soft
+        assert swung.soft
+    assert bent.offset[1] > 0.9 * 0.0014
+    assert abs(swung.offset[1]) < 3e-5
+
+
 def test_an_oscillation_makes_a_deflection_uncertain_after_a_while() -> None:
     assert compliance.uncertainty(followed(0.1, 40.0, 0.0, frequency_hz=4.0), MODEL) == 0.0
     late = compliance.uncertainty(followed(3.0, 40.0, 0.0, frequency_hz=4.0), MODEL)

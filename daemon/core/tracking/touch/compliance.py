@@ -19,12 +19,13 @@ That is proved on a conveyor at rest alone: a body that nothing excites is calm 
 
 Invariants:
 - The offset has no lead: it is constant over the horizon.
-- A growing oscillation stops it altogether until the oscillation is small again. A force that bends
-  the mount to one side, however large, is none.
+- A growing oscillation stops it altogether. One that lasts is not the offset's: from then on, until
+  it is small again, the offset follows the mean deflection, slowly. A force that bends the mount to
+  one side, however large, is none.
 - A quick oscillation that grows from second to second is driven by the contact. From then on a
-  deflection hardly moves the estimate in this contact, and the offset follows the mean deflection
-  alone: a line that is askew still moves it. One that is slow, falls, or grows on nonetheless is
-  damped by being followed.
+  deflection hardly moves the estimate in this contact, and the offset is as slow: a line that is
+  askew still moves it. One that is slow, falls, or grows on nonetheless is damped by being
+  followed.
 - An oscillation that is large and does not fall while the offset is stopped is `unending`: the
   contact itself drives it, and only an end of the contact ends it.
 """
@@ -70,8 +71,8 @@ DRIVEN_N = 8.0  # rms from which an oscillation may be driven [N]
 DRIVEN_LEAST_N = 3.0  # and rms from which it has grown; less is noise [N]
 DRIVEN_GROWTH = 1.15  # of its largest mean square, from each second to the next
 KICK = 8.0  # from one second to the next is no growth, but a kick of the object
-DRIVEN_SMOOTHING_S = 0.5  # time constant of the mean deviation that moves the offset then [s]
-DRIVEN_RATE = 0.3  # of the offset then [1/s]: a swing of 3 Hz moves it by 0.2 %
+SLOW_SMOOTHING_S = 0.5  # time constant of the mean deviation that moves the offset then [s]
+SLOW_RATE = 0.3  # of the offset then [1/s]: a swing of 3 Hz moves it by 0.2 %, of 1 Hz by 1.5 %
 SOFTENED_S = 1.0  # by then an oscillation that only the offset drives falls [s]
 
 
@@ -103,7 +104,7 @@ class Compliance(Struct, frozen=True):
         age: since the newest of them [s].
         moves: of the offset that the tool has not made yet, oldest first [m].
         energy: that the offset has given [J].
-        soft: the oscillation stops the offset.
+        soft: the oscillation stops the offset, or makes it slow.
         softened: for so long [s].
         driven: the contact drives the oscillation; until the contact ends, or it grows too large.
         firmness: whether the object gives way.
@@ -193,11 +194,13 @@ def advance(
         moved = _delayed(state.moves, model.delays, cycles)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
         energy = max(given, 0.0)
-    smoothing_s = DRIVEN_SMOOTHING_S if driven else SMOOTHING_S
+    is_slow = soft or driven
+    smoothing_s = SLOW_SMOOTHING_S if is_slow else SMOOTHING_S
     smooth = _toward(state.smooth, _minus(off, state.offset), dt / smoothing_s)
-    rate = DRIVEN_RATE if driven else RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
+    rate = SLOW_RATE if is_slow else RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
     length = math.hypot(*smooth)
-    moves_on = length > DEAD_BAND and (driven or not soft) and not firm.is_firm
+    is_stopped = firm.is_firm or (soft and not driven and state.softened < SOFTENED_S)
+    moves_on = length > DEAD_BAND and not is_stopped
     share = 1.0 - DEAD_BAND / length if moves_on else 0.0
     step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
