@@ -278,15 +278,19 @@ def test_a_quick_swing_pulls_no_guide_that_would_follow_it_late() -> None:
     assert moved_by(0.004, structs.replace(swung, half_s=0.5)) > 0.004 - guide.FARTHEST_FELT
 
 
-def led_back(swing: float, grown: float) -> float:
+def led_back(swing: float, grown: float, impulse: float = 0.0) -> float:
     """How much slower a guide becomes without a declared stop [m/s].
 
     Args:
         swing: of the deflection to both sides, before it grows to one [m].
         grown: what it grows by, as an object that stops [m].
+        impulse: swing of a push that was confirmed just now [m].
     """
     state, _ = in_contact(3.0, 0.0)
     assert state.guide is not None
+    x = state.x.copy()
+    x[IMPULSE] = impulse
+    state = structs.replace(state, x=x, impulse_age=0.0 if impulse else math.inf)
     begun = float(state.guide.x[V])
     for k in range(40):
         way = float(BANK.predict_positions(state, np.array((DT,)))[0])
@@ -309,6 +313,11 @@ def test_a_deflection_that_stays_small_slows_no_guide() -> None:
 
 def test_a_body_that_has_swung_of_late_draws_no_guide() -> None:
     assert abs(led_back(0.001, 0.003)) < 0.25 * led_back(0.0, 0.003)
+
+
+def test_a_deflection_that_a_push_explains_draws_no_guide() -> None:
+    assert abs(led_back(0.0, 0.003, impulse=-0.003)) < 0.25 * led_back(0.0, 0.003)
+    assert led_back(0.0, 0.003, impulse=0.003) > 0.005
 
 
 def stopped(sway: float, *, sways: bool) -> tuple[BankState, float]:

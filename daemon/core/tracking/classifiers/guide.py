@@ -11,7 +11,8 @@ Invariants:
 - It leads on when the force is lost or wrong: what that made of the null filter moves no target.
 - A null filter that was widened moves it only once that knows the speed again, and the distance
   sensor contradicts the guide too. A body that swings widens the null filter, which follows it.
-- A deflection that grows to one side, and would be too large before a decision acts, draws it.
+- A deflection that grows to one side, and would be too large before a decision acts, draws it. One
+  that an impulse disturbance explains does not: it swings back.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
   was known before fades.
@@ -96,7 +97,8 @@ def advance(
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
             felt = felt_drift.observed(felt, off, before.felt_s + dt)
-            corrected, felt = _drawn(corrected, felt)
+            if not _is_pushed(state, off):
+                corrected, felt = _drawn(corrected, felt)
         if measurement.source is Source.DISTANCE:
             missed = missed + 1 if corrected is led else 0
         led = corrected
@@ -182,6 +184,11 @@ def _deflection(model: BankModel, led: BankState, measurement: PositionMeasureme
     """Return how far the tool measures the object from the guide [m], without the offset's part."""
     row = model.observation_row(measurement, led)
     return measurement.value - measurement.complied - float(row.dot(led.x))
+
+
+def _is_pushed(state: BankState, off: float) -> bool:
+    """Return whether an impulse of the last second explains a deflection: it swings back."""
+    return state.impulse_age < felt_drift.SWUNG_S and off * float(state.x[IMPULSE]) > 0.0
 
 
 def _drawn(led: BankState, felt: FeltDrift) -> tuple[BankState, FeltDrift]:
