@@ -56,9 +56,10 @@ def pose_at(history: History, stamp_ns: int, reach: float) -> Array | None:
     stamps, poses = history.stamps_ns, history.poses
     if len(stamps) < 2 or stamp_ns < stamps[0] or stamp_ns > stamps[-1] + reach * 1e9:
         return None
-    i = min(max(bisect_left(stamps, stamp_ns), 1), len(stamps) - 1)
-    share = (stamp_ns - stamps[i - 1]) / (stamps[i] - stamps[i - 1])
-    at: Array = poses[i - 1] + share * (poses[i] - poses[i - 1])
+    i = max(bisect_left(stamps, stamp_ns), 1)
+    i, j = (i, i - 1) if i < len(stamps) else (-1, _motion_from(stamps))
+    share = (stamp_ns - stamps[j]) / (stamps[i] - stamps[j])
+    at: Array = poses[j] + share * (poses[i] - poses[j])
     return at
 
 
@@ -66,9 +67,21 @@ def rate_now(history: History) -> Array:
     """Return the speed of the tcp (6,) [m/s, rad/s], 0 with a single pose."""
     if len(history.stamps_ns) < 2:
         return np.zeros(6)
-    span = (history.stamps_ns[-1] - history.stamps_ns[-2]) * 1e-9
-    rate: Array = (history.poses[-1] - history.poses[-2]) / span
+    j = _motion_from(history.stamps_ns)
+    span = (history.stamps_ns[-1] - history.stamps_ns[j]) * 1e-9
+    rate: Array = (history.poses[-1] - history.poses[j]) / span
     return rate
+
+
+def _motion_from(stamps: Sequence[int]) -> int:
+    """Return the index of the pose from which on the newest motion is taken.
+
+    Late telegrams that come together are dated together: 0.06 ms apart they gave a speed of 23 m/s,
+    and a clamped tool measured its object 0.2 m away.
+    """
+    last, spaces = stamps[-1], len(stamps) - 1
+    least = (last - stamps[0]) / (4 * spaces)  # a quarter of the usual time between two poses
+    return next(j for j in range(spaces - 1, -1, -1) if last - stamps[j] >= (spaces - j) * least)
 
 
 def date_error(history: History, cycle_s: float) -> float:
