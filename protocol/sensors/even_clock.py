@@ -10,6 +10,7 @@ Invariants:
     A reading comes one period after the one before. A reading can be late, never early.
     Where the gaps are not even, the stamps are not changed.
     A reading of unknown date is left out, until the next ones show it or for ``UNDATED_S`` at most.
+    A reading that is older than the last one's date is left out: that one was late.
 """
 
 from collections import deque
@@ -89,6 +90,9 @@ class EvenClock:
         if self._last_ns is None:
             return False
         gap = (read_ns - self._last_ns) / self._period_ns
+        if gap < -LATE:  # its portion shows that the last one was dated too late
+            self.undated += 1
+            return True
         is_missing = round(gap) > 1 + self._unsure
         is_recent = gap * self._period_ns < UNDATED_S * 1e9
         if is_missing and is_recent and not self._is_even(gap, came_ns):

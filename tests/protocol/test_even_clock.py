@@ -120,6 +120,19 @@ def test_a_reading_late_by_more_than_a_period_is_left_out_until_its_date_is_know
     assert all(abs(error) < 2.0 for error in errors.values())
 
 
+def test_readings_that_come_at_once_after_a_late_one_are_not_dated_by_it() -> None:
+    # Dated all at once they were a step of 4 mm, which the estimate kept as an offset.
+    clock = taught(period_ns=12_000_000)
+    (late,) = clock.date(readings(BEGIN_NS + 132_000_000))
+    assert late.stamp_ns == BEGIN_NS + 132_000_000  # after 0.1 s those before it seem to be lost
+    portion = [DistanceSample(BEGIN_NS + 144_000_000 + k, float(k)) for k in range(2, 13)]
+    dated = clock.date(portion)
+    assert dated[-1].position == 12.0
+    for sample in dated:
+        assert abs(sample.stamp_ns - BEGIN_NS - 12_000_000 * sample.position) < 1_000_000
+    assert clock.undated == len(portion) - len(dated) > 0
+
+
 def test_the_reading_after_lost_ones_is_dated() -> None:
     source = random.Random(4)
     clock = taught()
