@@ -194,7 +194,7 @@ def test_a_start_before_the_conveyor_stood_has_its_speed_and_no_large_accelerati
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_start_that_is_faster_than_stated_is_none_that_began_before(seed: int) -> None:
+def test_a_start_faster_than_stated_did_not_begin_before_the_readings(seed: int) -> None:
     readings = distance_check.since(kept(ramp(10.0 * START, 0.25), seed), 0.5)
     found = start(readings)
     assert found is not None

@@ -174,7 +174,7 @@ def test_a_true_start_soon_after_a_stop_is_not_denied_by_what_the_stop_moved(sto
 
 
 @pytest.mark.parametrize(("acceleration", "expected"), [(0.013, 0), (0.0, 20)])
-def test_a_start_that_is_less_steep_than_declared_is_none_that_never_was(
+def test_a_start_is_denied_if_the_conveyor_stands_and_not_if_it_is_less_steep(
     acceleration: float, expected: int
 ) -> None:
     """A conveyor that is started again before it stands is never at rest."""

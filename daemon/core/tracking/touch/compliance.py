@@ -26,8 +26,8 @@ Invariants:
   deflection hardly moves the estimate in this contact, and the offset is as slow: a line that is
   askew still moves it. One that is slow, falls, or grows on nonetheless is damped by being
   followed.
-- An oscillation that is large and does not fall while the offset is stopped is `unending`: the
-  contact itself drives it, and only an end of the contact ends it.
+- An oscillation that is large and does not fall while the offset is stopped or slow is `unending`:
+  the contact itself drives it, and only an end of the contact ends it.
 """
 
 import math

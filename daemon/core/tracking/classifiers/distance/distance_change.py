@@ -140,13 +140,13 @@ def begun_before(
     if odds - _evidence(basis[:2], way, stood, deviation)[0] < declared.odds or fit[1] <= 0.0:
         return declared
     span = float(ages[0])
-    now = np.array(((1.0, span, ramped[-1]), (0.0, 1.0, change * span), (0.0, 0.0, change)))
-    moved_now, spread = declared.values.copy(), np.zeros_like(declared.covariance)
-    moved_now[:3] = now @ (fit + np.array((0.0, 0.0, 1.0)))
-    moved_now[0] += float(values[-1])
-    moved_now[3:] = 0.0
-    spread[:3, :3] = now @ covariance @ now.T
-    return DistanceChange(declared.odds, span, moved_now, spread)
+    to_now = np.array(((1.0, span, ramped[-1]), (0.0, 1.0, change * span), (0.0, 0.0, change)))
+    # It adds nothing to the other states: they have followed it from the first reading on.
+    mean, spread = np.zeros_like(declared.values), np.zeros_like(declared.covariance)
+    mean[:3] = to_now @ (fit + np.array((0.0, 0.0, 1.0)))
+    mean[0] += float(values[-1])
+    spread[:3, :3] = to_now @ covariance @ to_now.T
+    return DistanceChange(declared.odds, span, mean, spread)
 
 
 def _evidence(
