@@ -225,15 +225,24 @@ def rounding(cycle_s: float, commit: int) -> Array:
 
 
 def rounded(goal: Array, kernel: Array) -> Array:
-    """Return a goal (m, d), corners along the conveyor rounded but for half a kernel at its ends.
+    """Return a goal (m, d) with its corners along the conveyor rounded."""
+    if len(kernel) == 1:
+        return goal
+    smooth = goal.copy()
+    smooth[:, ALONG] = smoothed(goal[:, ALONG], kernel)
+    return smooth
+
+
+def smoothed(values: Array, kernel: Array) -> Array:
+    """Return values (m,) with their corners rounded but for half a kernel at their ends.
 
     The merge does not read the beginning; the end is a horizon away.
     """
     half = len(kernel) // 2
     if half == 0:
-        return goal
-    smooth = goal.copy()
-    smooth[half:-half, ALONG] = np.convolve(goal[:, ALONG], kernel, "valid")
+        return values
+    smooth = values.copy()
+    smooth[half:-half] = np.convolve(values, kernel, "valid")
     return smooth
 
 

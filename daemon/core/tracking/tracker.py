@@ -603,6 +603,8 @@ def _predict_object(
     count, leads = len(ahead), len(tracker.leads)
     steady = along[:count]
     added = _added_way(tracker, state, view, along, tracker.ahead)
+    # What excites a swing has the corners of the conveyor's way.
+    added[:count] = merge.smoothed(added[:count], tracker.corner)
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
     if not _is_prediction_due(tracker, state, view, now_ns):

@@ -53,7 +53,7 @@ class Tracker:
         steps: n, length of the horizon.
         merge_free: of a tool that hangs free.
         merge_clamped: of a tool in contact: it has no elastic mode to damp, and answers earlier.
-        corner: (2 h + 1,) kernel that rounds the goal's corners along the conveyor.
+        corner: (2 h + 1,) kernel that rounds corners of the conveyor's way.
         history_length: number of robot poses in the history.
         span: (n+1,) times of the horizon from now [s].
         axis_steps: length of the linear axis' plan, as far as control reads it.
