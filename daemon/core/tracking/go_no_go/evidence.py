@@ -96,7 +96,8 @@ def decide(
         stands=state.time >= last_step(tracker.sight_time, tracker.cycle_s),
         may_back=_may_back(state),
     )
-    if reasons and go.reasons:
+    # A reason that has ended and is waited out keeps its words: its value is within the limit now.
+    if go.reasons and go.reasons[0] in reasons:
         text = decision.describe(go.reasons[0], evidence, guard, waiting=waiting)
         go = replace(go, text=text)
     return state if go is before else replace(state, go=go)

@@ -9,7 +9,15 @@ from msgspec.structs import replace
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.go_no_go import evidence
-from linemate.daemon.core.tracking.go_no_go.decision import DEVIATIONS, LOOK_S
+from linemate.daemon.core.tracking.go_no_go.decision import (
+    DEVIATIONS,
+    LOOK_S,
+    GoEvidence,
+    GoOrder,
+    GoState,
+    Reason,
+    Zone,
+)
 from linemate.daemon.core.tracking.go_no_go.target_shift import TargetShift
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.contact import ContactState
@@ -199,3 +207,23 @@ def test_the_newer_of_distance_and_camera_is_the_age_of_the_position(tracker: Tr
         state = replace(state, pose_ns=pose_ns, blind_s=blind_s)
         found = evidence.gather(tracker, state, RUNS, now_ns)
         assert found.position_s == pytest.approx(age_s)
+
+
+def test_a_reason_that_has_ended_keeps_its_words_while_it_is_waited_out(
+    tracker: Tracker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    changes = GoEvidence(0.0, 9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0, 0.0, True, 0.1)
+    monkeypatch.setattr(evidence, "gather", lambda *_: changes)
+    pose = PoseMeasurement(np.array((2.2, 0.0, 1.1)), np.eye(3), 0.0, np.full(6, 1e-8))
+    text = "object seen for 0.3 s since the conveyor's motion changed, 0.6 s needed"
+    state = replace(
+        at_rest(tracker, np.zeros(6), 0.0),
+        transverse=tracker.transverse.initial([pose]),
+        started=True,
+        time=0.5 * (tracker.sight_time + tracker.near_time),
+        go=GoState(GoOrder.STAND, (Reason.UNSEEN,), text),
+    )
+    assert evidence.zone(tracker, state) is Zone.MIDDLE  # where a change of class is no reason
+    state = evidence.decide(tracker, state, RUNS, StepSamples(T0_NS, None, T0_NS, (), (), (), 0))
+    assert state.go.reasons == (Reason.UNSEEN,)
+    assert state.go.text == text
