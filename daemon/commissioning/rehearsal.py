@@ -142,7 +142,7 @@ def _rail(parameters: Parameters, times: Array, start: Array) -> Array:
     if not parameters.controller.arm.linear_axis:
         return np.zeros(len(times))
     file, dt = task.linear_axis, float(times[1] - times[0])
-    speed = file.travel * task.conveyor.nominal_speed
+    speed = parameters.tracker.axis_travel * task.conveyor.nominal_speed
     begin, ahead = float(start[6]), linear_axis.delay(file.ramp, dt)
     if not parameters.tracker.reference.travels.any():
         speed = 0.0  # an exercise: the conveyor stops soon after the start

@@ -99,6 +99,15 @@ def _axis_range(controller: control.Controller) -> tuple[float, float]:
     return float(controller.limits.lower[6]), float(controller.limits.upper[6])
 
 
+def _axis_travel(task: TaskFile, arm: kinematics.Arm) -> float:
+    """Return the way of the linear axis for each metre of the object's, with its sign."""
+    if not arm.linear_axis:
+        return task.linear_axis.travel
+    joints = np.zeros(arm.axes)
+    rail = arm.tcp_in_base(joints)[1] @ arm.tcp_jacobian(joints)[:, 6]
+    return task.linear_axis.travel * round(float(rail @ np.array(task.conveyor.axis)), 6)
+
+
 def _camera_in_tcp(task: TaskFile, tracking: TrackingSettings) -> tuple[Array, Array]:
     """Return position (3,) and rotation (3, 3) of the camera in the tcp, as touches correct it.
 
@@ -197,6 +206,7 @@ def _tracker(
         span=span,
         axis_steps=controller.preview,
         axis_range=_axis_range(controller),
+        axis_travel=_axis_travel(task, controller.arm),
         ahead=np.append(span, (controller.preview * cycle_s + lag, *leads)),
         leads=leads,
         free=free_table(

@@ -47,6 +47,19 @@ def test_the_shipped_task_is_good_and_its_retreat_is_what_is_fastest() -> None:
     assert all(peak.speed < peak.limit and peak.margin > 0.5 for peak in axes)
 
 
+def test_a_linear_axis_that_counts_against_the_conveyor_follows_it_as_well() -> None:
+    limits = '<limit lower="-1.5" upper="6.0"', '<limit lower="-6.0" upper="1.5"'
+    against = TASK.urdf.replace('<axis xyz="0 1 0"/>', '<axis xyz="0 -1 0"/>', 1).replace(*limits)
+    control = replace(shipped_control(), limits=())
+    mirrored = build(TASK.file, against, TrackingSettings(), control, 0.012)
+    assert mirrored.tracker.axis_travel == -made().tracker.axis_travel
+    usual, there = rehearse(made()), rehearse(mirrored)
+    assert there.complaints == ()
+    for peak, other in zip(there.peaks, usual.peaks, strict=True):
+        assert peak.speed == pytest.approx(other.speed, abs=1e-6)
+        assert peak.margin == pytest.approx(other.margin, abs=1e-6)
+
+
 def test_an_exercise_is_not_carried_off_by_a_conveyor_that_will_stop() -> None:
     exercise = task_file.load(DAEMON_DATA / "exercise.yaml")
     rehearsal = rehearse(made(exercise.file, exercise))

@@ -716,7 +716,7 @@ def _advance_axis(
         step = len(tracker.span)
         share = approach.smoothstep_at((state.time + float(tracker.ahead[step])) / file.ramp)
         travelled = float(along[step]) + view.offset - unit
-        wanted = begun + file.travel * share * travelled
+        wanted = begun + tracker.axis_travel * share * travelled
         low, high = tracker.axis_range
         goal = min(max(wanted, low), high)
         # The goal is ahead of the axis by the plan's length and lag: time to hold or to retreat.

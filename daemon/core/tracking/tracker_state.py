@@ -58,6 +58,7 @@ class Tracker:
         span: (n+1,) times of the horizon from now [s].
         axis_steps: length of the linear axis' plan, as far as control reads it.
         axis_range: positions that the linear axis can take [m]; unbounded without one.
+        axis_travel: its way for each metre of the object's; negative if it counts against it.
         ahead: times from now at which the conveyor's position is predicted [s]: the span, the
             time of the linear axis' goal, and the leads whose predictions are checked.
         leads: how far ahead predictions are checked [s].
@@ -91,6 +92,7 @@ class Tracker:
     span: Array
     axis_steps: int
     axis_range: tuple[float, float]
+    axis_travel: float
     ahead: Array
     leads: tuple[float, float]
     free: Array
