@@ -3,6 +3,7 @@
 Types and ranges come from annotations, units and meanings from docstrings.
 """
 
+import textwrap
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
@@ -10,7 +11,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
-from linemate.daemon.config import parameter_list, task_file
+from linemate.daemon.config import documents, parameter_list, task_file
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import SECTIONS
 from linemate.daemon.core.tracking.task import Gate, TaskFile, WaypointFrame
@@ -25,12 +26,18 @@ MADE = "<!-- Made by `make docs-write`; edit the settings' docstrings instead. -
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A section of the file: its dotted name, its class, whether it is off when left out."""
+    """A section of the file.
+
+    Attributes:
+        optional: it is off when left out.
+        role: what it is there, by the section above.
+    """
 
     name: str
     kind: type[Any]
     optional: bool
     is_list: bool
+    role: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +58,12 @@ def sections(whole: type[Any] = Config) -> Iterator[Section]:
 
 
 def _below(above: str, kind: type[Any]) -> Iterator[Section]:
+    about = documents.schema(kind, kind.__name__)["properties"]
     for name, hint in get_type_hints(kind).items():
         inner, optional, is_list = _class(hint)
         if inner is not None:
             path = f"{above}{name}"
-            yield Section(path, inner, optional, is_list)
+            yield Section(path, inner, optional, is_list, about[name].get("description", ""))
             yield from _below(f"{path}[]." if is_list else f"{path}.", inner)
 
 
@@ -194,6 +202,7 @@ def task_page() -> str:
     for section in sections(TaskFile):
         name = f"{section.name}[]" if section.is_list else section.name
         lines += [f"### `{name}`" if name else "### The file", ""]
+        lines += [*textwrap.wrap(f"Here: {_text(section.role)}", 120), ""] if section.role else []
         listed = list(keys(section))
         lines += [meaning(section), "", *([*_table(listed), ""] if listed else [])]
     return "\n".join(lines)

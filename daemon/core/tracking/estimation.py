@@ -59,6 +59,8 @@ FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 _SLOWER = np.array((4.0, 4.0, 4.0, 0.0625, 0.0625, 0.0625))
 _TRANSLATIONS = np.array((4.0, 4.0, 4.0, 0.0, 0.0, 0.0))
 _ROTATIONS = np.array((0.0, 0.0, 0.0, 1.0, 1.0, 1.0))
+# Variance of what a contact that can slide shows across the tool's axis and about it: nothing.
+_SLIDES = np.array((1.0, 1.0, 0.0, 0.0, 0.0, 1.0))
 # Times the sigma of a deflection that follows an oscillation which it drives.
 DRIVEN_INFLATION = 6.0
 WRENCH_S = 0.05  # a wrench may be so old; health excludes an older one [s]
@@ -124,7 +126,7 @@ def estimate(
     else:
         if state.announced_s == 0.0:
             conveyor = tracker.classifier.announce_stop(conveyor)
-        conveyor = tracker.classifier.advance(conveyor, rows, tracker.cycle_s)
+        conveyor = tracker.classifier.advance(conveyor, _shown(tracker, rows), tracker.cycle_s)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
     state = replace(
         state,
@@ -301,15 +303,16 @@ def _yielding(
         oscillation: variance that it adds to a deflection [m^2].
     """
     position = measured.position - np.array(state.compliance.offset)
+    slides = 0.0 if tracker.settings.tactile.holds else _SLIDES
     if state.compliance.is_firm:
-        return replace(measured, position=position)
+        return replace(measured, position=position, variance=measured.variance + slides)
     factor = tracker.settings.tactile.compliance**2
     slower = _inflation(state) * _SLOWER
     # The torque swings with the force: it would turn the target, which drove the swing.
     share = oscillation / float(measured.variance[:3].mean())
     turned = share * _ROTATIONS * measured.variance
     variance = factor * (slower * measured.variance + _TRANSLATIONS * oscillation + turned)
-    return replace(measured, position=position, variance=variance)
+    return replace(measured, position=position, variance=variance + slides)
 
 
 def comply(
@@ -345,6 +348,8 @@ def comply(
     off = tcp[:3] + shift + late * rate_now(history)[:3] - part[:3]
     fx, fy, fz = R.dot(wrench.force).tolist()
     x, y, z = off.tolist()
+    if not (mount.holds or Gate.SCREWS_FIXED in state.passed):
+        fx = fy = x = y = 0.0
     before, events = state.compliance, () if view is None else view.events
     if before.press is None and state.touching < compliance.SEATED_S:
         before = compliance.displaced((x, y, z))
@@ -477,6 +482,13 @@ def _distance_rows(
     if noise.inflation > 1.0:
         rows = [replace(row, variance=noise.inflation * row.variance) for row in rows]
     return rows, noise
+
+
+def _shown(tracker: Tracker, rows: list[PositionMeasurement]) -> list[PositionMeasurement]:
+    """Return what shows the object along the conveyor: no deflection of a contact that slides."""
+    if tracker.settings.tactile.holds:
+        return rows
+    return [row for row in rows if row.source is not Source.TACTILE]
 
 
 def _along_measurement(

@@ -109,6 +109,9 @@ class TactileNoise:
         stamp: sigma of its time stamp [s].
         compliance: times the sigma of a deflection with which it moves the target. 1 follows it at
             once, and drives a body that gives way.
+        holds: the touch holds the object across the tool's axis: a clamp closes, or bolts or a
+            centring take it. False for faces that can slide until the screws are fixed: a force
+            across does not show where the object is.
     """
 
     deflection: Length = 0.00005
@@ -124,6 +127,7 @@ class TactileNoise:
     overload_force: Force = 350.0
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0003
     compliance: Annotated[float, Ge(1.0), Le(1000.0)] = 12.0
+    holds: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -194,12 +194,14 @@ class ArmFile:
         urdf: path of the URDF, relative to the task file; a bare name is looked up among the
             shipped ones too.
         flange: the URDF's flange frame.
-        linear_axis: the URDF's first joint is the linear axis E1.
+        linear_axis: the URDF's first joint is the linear axis E1. Which way it counts is its own.
         tcp_in_flange: of the undeflected tool.
-        camera_in_tcp: hand-eye calibration, of the undeflected tool.
+        camera_in_tcp: hand-eye calibration, of the undeflected tool: the camera is on the rigid
+            side of the elastic mount.
         sensor_in_tcp: frame in which the force-torque sensor states its wrench, of the undeflected
             tool. A sensor on the flange has its place and turn here.
-        sensor_sign: -1 for a sensor that states the opposite force.
+        sensor_sign: 1 for a sensor that states the force on the tool: its weight points down, and a
+            tool that presses along z reads a negative z. -1 for the opposite.
         rest_joints: A1..A6 at rest [rad].
     """
 
@@ -218,7 +220,7 @@ class LinearAxisFile:
     """How the linear axis follows the object.
 
     Attributes:
-        travel: way of the axis as a share of the object's.
+        travel: way of the axis along the conveyor as a share of the object's.
         ramp: time in which the axis takes up or loses its speed [s].
     """
 

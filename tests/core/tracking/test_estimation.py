@@ -1,8 +1,19 @@
 """Estimation: the plan is held against a wrench at the time of the wrench."""
 
-import pytest
+from dataclasses import replace
 
-from linemate.daemon.core.tracking.estimation import at_delay
+import numpy as np
+import pytest
+from msgspec import structs
+
+from linemate.daemon.core import parameters
+from linemate.daemon.core.tracking.estimation import at_delay, estimate
+from linemate.daemon.core.tracking.observation import PoseMeasurement
+from linemate.daemon.core.tracking.tracker import at_rest
+from linemate.daemon.core.tracking.tracker_state import StepSamples
+from linemate.protocol.stamped_samples import WrenchSample
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.plants.scenario import Scenario
 
 
 @pytest.mark.parametrize(
@@ -14,3 +25,37 @@ def test_a_plan_is_taken_at_the_time_of_the_wrench(late: float, value: float) ->
 
 def test_a_plan_of_one_step_is_the_same_at_any_time() -> None:
     assert at_delay((3.0,), 0.6) == 3.0
+
+
+def felt(force: tuple[float, float, float], twist: float, *, holds: bool) -> np.ndarray:
+    """Return the estimate across the line, and along it, after 0.5 s of a force on the tool."""
+    cell = Setup(Scenario())
+    tracking = replace(cell.tracking, tactile=replace(cell.tracking.tactile, holds=holds))
+    tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
+    place = tracker.reference.origin
+    pose = np.concatenate((place, np.zeros(3)))
+    young = PoseMeasurement(place, np.eye(3), 0.0, np.full(6, 1e-8))
+    state = structs.replace(
+        at_rest(tracker, pose, 0.0),
+        transverse=tracker.transverse.initial([young]),
+        conveyor=tracker.classifier.initial(float(place[1])),
+        contact=True,
+        touching=1.0,
+    )
+    for now_ns in range(0, 500_000_000, 12_000_000):
+        wrench = WrenchSample(now_ns, force, (0.0, 0.0, twist))
+        samples = StepSamples(now_ns, pose, now_ns, (), (), (wrench,), 0)
+        state, view, _, _ = estimate(tracker, state, samples)
+    assert state.transverse is not None
+    assert view is not None
+    return np.append(state.transverse.x, view.position)
+
+
+def test_a_force_across_shows_the_object_only_in_a_contact_that_holds_it() -> None:
+    pressed, dragged = ((0.0, 0.0, -60.0), 0.0), ((30.0, 30.0, -60.0), 2.0)
+    held = felt(*dragged, holds=True) - felt(*pressed, holds=True)
+    sliding = felt(*dragged, holds=False) - felt(*pressed, holds=False)
+    assert np.abs(held).max() > 3e-4
+    assert np.abs(sliding).max() < 2e-5
+    unpressed = felt((0.0, 0.0, 0.0), 0.0, holds=False)
+    assert np.abs(felt(*pressed, holds=False) - unpressed).max() > 1e-3
