@@ -42,12 +42,23 @@ def programme_times(tracker: Tracker, state: TrackerState) -> Array | None:
 
     None for a clock that runs up to its gate.
     """
-    if state.ramp == clock_ramp.RUNNING or not is_before_contact(tracker, state):
+    T0, ramp = tracker.cycle_s, state.ramp
+    if ramp == clock_ramp.RUNNING and _withdraws_moving(tracker, state):
+        # The clock stands at once, and the tool comes to rest behind what is committed.
+        planned = _braked_ramp(tracker, ramp, state.time / T0).planned
+        ramp = ClockRamp(0, planned[round(state.clock_stood / T0) :] or planned[-1:])
+    if ramp == clock_ramp.RUNNING or not is_before_contact(tracker, state):
         return None
-    T0 = tracker.cycle_s
-    times = clock_ramp.times_ahead(state.ramp, state.time / T0, tracker.steps)
+    times = clock_ramp.times_ahead(ramp, state.time / T0, tracker.steps)
     low, high = _bounds(tracker, state)
     return np.clip(times, low, high)
+
+
+def _withdraws_moving(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether a tool withdraws that moved on its last approach as the clock stood."""
+    if state.withdrawn is None or not is_blended(state) or state.time <= tracker.sight_time:
+        return False
+    return 0.0 < state.clock_stood - state.withdrawn < 1.5 * tracker.cycle_s
 
 
 def _bounds(tracker: Tracker, state: TrackerState) -> tuple[float, float]:
@@ -109,7 +120,8 @@ def _braked_ramp(tracker: Tracker, ramp: ClockRamp, now: float) -> ClockRamp:
     """Return the ramp of a clock that comes to stand for a retreat.
 
     Without it the part of a ramp that is committed already is a corner for the merge: at 4 ms it
-    led a tool that waited 6 mm before the object 50 mm on.
+    led a tool that waited 6 mm before the object 50 mm on. So is a tool that moves and stands at
+    once: the retreat came to 0.53 m/s, its limits bent the way, and the tool swung with 350 N.
 
     Args:
         now: time of the clock [steps].

@@ -287,6 +287,29 @@ def test_a_retreat_from_any_step_of_a_ramp_leaves_the_plan_on_the_programme(
     assert max(off) < 5e-4
 
 
+@pytest.mark.parametrize("cycle_s", [0.004, 0.008, 0.012])
+@pytest.mark.parametrize("after_s", [0.3, 0.5, 0.7])
+def test_a_retreat_from_the_last_approach_leaves_the_plan_on_the_programme(
+    cycle_s: float, after_s: float
+) -> None:
+    tracker = of_cycle(cycle_s)
+    plan, ahead = tracker.merge_free, np.arange(tracker.steps + 1.0)
+    state = replace(on_the_way(tracker, after_s), blend_s=0.0)
+    begun = state.time
+    poses, off = tracker.table.between(state.time / cycle_s + ahead)[1], []
+    for _ in range(round(0.5 / cycle_s)):
+        state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+        times = task_clock.programme_times(tracker, state)
+        assert times is not None
+        goal = tracker.table.between(times)[1]
+        poses, _ = merge.merge(poses, goal, plan)
+        off.append(np.abs(poses - goal)[:, 2].max())
+    assert state.time == begun
+    # If the programme stood at once, the plan came back at 0.18 m/s on top of the retraction.
+    assert max(off) < 5e-4
+    assert np.ptp(goal[:, 2]) == 0.0
+
+
 @pytest.mark.parametrize("cycle_s", [0.004, 0.012])
 def test_a_clamp_that_a_retreat_opened_before_the_contact_does_not_set_the_clock_going(
     cycle_s: float,
