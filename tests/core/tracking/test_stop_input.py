@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from linemate.daemon.core.tracking.classifiers import stop_input
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
 from linemate.daemon.core.tracking.task import ConveyorClasses, StopInput
 
 WIRED = StopInput(bit=4, before=0.05, after=0.03)
@@ -47,3 +50,26 @@ def test_an_edge_counts_until_the_distance_sensor_can_show_the_stop(
 ) -> None:
     counted = stop_input.counted_for(ConveyorClasses(deceleration=0.104), deviation)
     assert counted == pytest.approx(counted_s, abs=0.01)
+
+
+def test_an_edge_does_not_expire_without_a_reading() -> None:
+    line, T0, sigma, now = ConveyorClasses(stop_input=WIRED), 0.012, 0.002, np.zeros(1)
+    bank = BankClassifier(line, FusionSettings(), BankSettings(), sigma)
+
+    def reading(t: float) -> list[PositionMeasurement]:
+        way = line.nominal_speed * t
+        return [PositionMeasurement(Source.DISTANCE, way, 0.001, sigma**2, 4.0)]
+
+    state = bank.initial(0.0)
+    for k in range(1, 250):
+        state = bank.advance(state, reading(k * T0), T0)
+    state = bank.announce_stop(state)
+    ways = []
+    for _ in range(60):
+        state = bank.advance(state, (), T0)
+        ways.append(float(bank.predict_positions(state, now)[0]))
+    assert math.isfinite(state.announced_s)
+    # A blind tool whose target jumped by 4 mm swung with 358 N.
+    assert np.abs(np.diff(ways, 2)).max() < 1e-4
+    state = bank.advance(state, reading(310 * T0), T0)
+    assert state.announced_s == math.inf

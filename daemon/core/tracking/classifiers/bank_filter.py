@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.classifiers import onset_bank, sway_bank
+from linemate.daemon.core.tracking.classifiers import onset_bank, stop_input, sway_bank
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
@@ -220,6 +220,7 @@ def correct(
     its signature that F does not propagate.
     """
     changes, impulses, rejected = state.changes, state.impulses, state.rejected
+    announced_s = state.announced_s
     count, has_impulses = len(changes), len(impulses) > 0
     middle = _FIRST + count
     J = np.concatenate((state.P, state.x[:, None], changes.error, impulses.error), axis=1)
@@ -255,6 +256,10 @@ def correct(
             continue
         if rejected.get(measurement.source):
             rejected = {**rejected, measurement.source: 0}
+        if measurement.source is Source.DISTANCE and math.isfinite(announced_s):
+            # Only a reading decides: the target of a blind tool jumped by 4 mm, and it swung.
+            counted_s = stop_input.counted_for(model.conveyor, model.distance_deviation)
+            announced_s = announced_s if announced_s < counted_s else math.inf
         J -= (Ph / S)[:, None].dot(off[None])
         weighted = minus_rho / S
         A += minus_rho * weighted
@@ -272,6 +277,7 @@ def correct(
         rejected=rejected,
         ripple_factor=factor,
         sway_omega=omega,
+        announced_s=announced_s,
     )
 
 

@@ -92,8 +92,6 @@ def _with_announcement(model: BankModel, state: BankState) -> BankState:
     """
     if state.announced_s == math.inf or state.motion is not Motion.RUNNING:
         return state
-    if not state.announced_s < stop_input.counted_for(model.conveyor, model.distance_deviation):
-        return state
     odds = stop_input.onset_odds(model.conveyor.stop_input, state.announced_s, state.changes.age)
     if odds is None:
         return state

@@ -18,7 +18,6 @@ from linemate.daemon.core.tracking.classifiers import (
     guide,
     onset_bank,
     start_check,
-    stop_input,
     sway_filter,
 )
 from linemate.daemon.core.tracking.classifiers.bank_filter import (
@@ -406,8 +405,7 @@ class BankClassifier(BankModel):
             return False
         if state.change_odds > limit or state.impulse_odds > self.impulse.confirmed:
             return True
-        latest_s = stop_input.counted_for(self.conveyor, self.distance_deviation)
-        if state.announced_s < latest_s:  # the announcement raises the odds later
+        if state.announced_s < math.inf:  # the announcement raises the odds later
             return True
         weight, _ = bank_prediction.hypothesis_weights(self, state)
         return weight > bank_prediction.LEAST_WEIGHT
