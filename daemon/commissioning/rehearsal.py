@@ -67,7 +67,7 @@ class Rehearsal:
 
 def rehearse(parameters: Parameters) -> Rehearsal:
     """Run the nominal task through the kinematics."""
-    complaints = [*_pressed(parameters), *_unseen_stops(parameters)]
+    complaints = [*_pressed(parameters), *_untouched(parameters), *_unseen_stops(parameters)]
     start = _start(parameters)
     if isinstance(start, Complaint):
         return Rehearsal((), (start, *complaints))
@@ -223,6 +223,23 @@ def _pressed(parameters: Parameters) -> Iterator[Complaint]:
                 "the sign and the unit of position z, and tracking.tactile.stiffness."
             )
             yield Complaint(("waypoints", i, "pose", "position"), what)
+
+
+def _untouched(parameters: Parameters) -> Iterator[Complaint]:
+    """Return the waypoint of contact if neither it nor the search behind it reaches the object."""
+    task, reference = parameters.tracker.task, parameters.tracker.reference
+    phases = [point.phase for point in task.waypoints]
+    if Phase.CONTACT not in phases:
+        return
+    i, search = phases.index(Phase.CONTACT), task.guard.overrun
+    gap = -float(reference.points[i, 2])
+    if reference.travels[i] and gap > search:
+        what = (
+            f"{1e3 * gap:g} mm before the object's surface, and the search goes on for "
+            f"{1e3 * search:g} mm (guard.overrun): the tool does not touch. Set the position of "
+            "its surface."
+        )
+        yield Complaint(("waypoints", i, "pose", "position"), what)
 
 
 def _unseen_stops(parameters: Parameters) -> Iterator[Complaint]:

@@ -94,6 +94,13 @@ def test_a_waypoint_deep_in_the_object_is_reported_with_the_force() -> None:
     assert "500 N at 50000 N/m, overload is 350 N" in what
 
 
+def test_a_contact_that_the_search_does_not_reach_is_reported_with_both_ways() -> None:
+    (what,) = complaints_of(with_position(3, 0.0, 0.0, -0.03))
+    assert what.startswith("waypoints[3].pose.position: 30 mm before the object's surface")
+    assert "the search goes on for 12 mm (guard.overrun)" in what
+    assert complaints_of(with_position(3, 0.0, 0.0, -0.01)) == []
+
+
 def test_an_axis_beyond_its_position_limit_is_reported() -> None:
     rows = list(shipped_control().limits)
     rows[0] = replace(rows[0], upper=0.01)
