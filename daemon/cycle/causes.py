@@ -259,6 +259,8 @@ def _overload(_: Signals, evidence: Evidence) -> Explanation:
         pull = f"a force of {evidence.unanswered_n:.0f} N answered no motion of the tool in contact"
         return pull, "Check the sign and the axes of the force-torque sensor."
     todo = "Check that nothing is jammed."
+    if evidence.counts.state is State.CONTACT:
+        todo = "Check that nothing is jammed, and what holds the object (tracking.tactile.holds)."
     if evidence.overload_n is None:
         return "force beyond the limit", todo
     force, limit = evidence.overload_n

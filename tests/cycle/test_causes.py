@@ -239,6 +239,13 @@ def test_a_force_that_answers_no_motion_is_the_cause_that_is_named() -> None:
     assert todo == "Check the sign and the axes of the force-torque sensor."
 
 
+@pytest.mark.parametrize(("state", "holds"), [(State.CONTACT, True), (State.TRACK, False)])
+def test_an_overload_in_contact_names_what_holds_the_object(state: State, holds: bool) -> None:
+    known = evidence(counts=Watch(Link.HEALTHY, NOW_NS, state=state))
+    _, todo = causes._overload(Signals(Link.HEALTHY), known)
+    assert ("tracking.tactile.holds" in todo) is holds
+
+
 def test_a_robot_that_got_no_setpoints_is_the_cause_that_is_named() -> None:
     known = evidence(
         facts=watch.Facts(NOW_NS, True, unled_s=0.08),
