@@ -19,6 +19,7 @@ STEP_S = 0.01  # of the conveyor's motion
 LEAST_SPEED = 0.02  # of a conveyor that runs [m/s]
 LOW, MIDDLE, HIGH = 0.1, 0.5, 0.9  # shares of that speed: stands, changes, runs
 AROUND_S = 0.8  # readings before and after a ramp that its fit uses
+LEAST_READINGS = 12  # of a ramp, twice the number of what is fitted
 BRIEF_S = 0.4  # ramp that is shorter has no shape that readings show
 SAME = 0.2  # accelerations of one class differ by less, as a share
 LARGEST_SHARE = 0.2  # deviation of an accepted acceleration, as a share
@@ -87,7 +88,7 @@ def motion(trace: Trace, delay: float) -> UnitMotion | None:
     times = times[known]
     moved = UnitMotion(times, positions[known], speeds[known], np.zeros(len(times)))
     ways = np.zeros(len(times))
-    for ramp, span in _spans(moved):
+    for ramp, span in _spans(trace, delay, moved):
         p = _fitted(trace, ramp, delay, span, moved)[0]
         ways += _added(p, times - ramp.begin)
     return replace(moved, ways=ways)
@@ -121,7 +122,7 @@ def identify_ramps(traces: Sequence[Trace], delay: float) -> tuple[RampClass, ..
         moved = motion(trace, delay)
         if moved is None:
             continue
-        for ramp, span in _spans(moved):
+        for ramp, span in _spans(trace, delay, moved):
             _, values, deviations = _fitted(trace, ramp, delay, span, moved)
             fitted.append((ramp.starts, values, deviations))
     if not fitted:
@@ -130,10 +131,12 @@ def identify_ramps(traces: Sequence[Trace], delay: float) -> tuple[RampClass, ..
     return tuple(_judged(group) for group in _classes(fitted))
 
 
-def _spans(moved: UnitMotion) -> list[tuple[FittedRamp, tuple[float, float]]]:
-    """Return the ramps with the times from and to which readings belong to each."""
-    ramps = find_ramps(moved)
-    return [
+def _spans(
+    trace: Trace, delay: float, moved: UnitMotion
+) -> list[tuple[FittedRamp, tuple[float, float]]]:
+    """Return the ramps with the times from and to which readings belong to each, if any do."""
+    ramps, stamps = find_ramps(moved), trace.distances[:, 0] - delay
+    spans = [
         (
             ramp,
             (
@@ -142,6 +145,12 @@ def _spans(moved: UnitMotion) -> list[tuple[FittedRamp, tuple[float, float]]]:
             ),
         )
         for i, ramp in enumerate(ramps)
+    ]
+    # Readings that come in bursts show ramps within ramps: none is left between two of them.
+    return [
+        (ramp, (begin, end))
+        for ramp, (begin, end) in spans
+        if np.count_nonzero((stamps >= begin) & (stamps <= end)) >= LEAST_READINGS
     ]
 
 

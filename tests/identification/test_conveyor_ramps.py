@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from traces import trace
 
+from linemate.daemon.identification import conveyor_ramps
 from linemate.daemon.identification.conveyor_ramps import (
+    FittedRamp,
     RampClass,
     find_ramps,
     findings,
@@ -84,3 +86,10 @@ def test_a_conveyor_that_only_runs_has_no_ramps() -> None:
 def test_without_a_distance_sensor_there_are_no_ramps() -> None:
     (found,) = identify_ramps((trace(tcp=np.zeros((100, 6))),), 0.0)
     assert isinstance(found.acceleration, Refusal)
+
+
+def test_a_ramp_within_a_ramp_has_no_readings_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = [FittedRamp(False, 5.9, 8.1), FittedRamp(False, 7.7, 7.9), FittedRamp(True, 8.0, 8.01)]
+    monkeypatch.setattr(conveyor_ramps, "find_ramps", lambda _: found)
+    assert motion(recorded(), 0.0) is not None
+    assert identify_ramps([recorded()], 0.0)
