@@ -28,7 +28,8 @@ from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import servos, touches
+from linemate.daemon.cycle.learning import part_mass, servos, touches
+from linemate.daemon.cycle.learning.part_mass import PartLearner
 from linemate.daemon.cycle.learning.servos import Learner
 from linemate.daemon.cycle.learning.touches import TouchLearner
 from linemate.daemon.cycle.states import State
@@ -129,6 +130,7 @@ class App:
         self._recorder = build_recorder(station)
         self._learner = build_learner(station, parameters.cycle_s)
         self._touches = TouchLearner() if config.learn_touches else None
+        self._parts = PartLearner() if config.learn_part_mass else None
         self._live = LiveTelemetry(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
@@ -440,6 +442,8 @@ class App:
             self._learn(self._learner, entries)
         if self._touches is not None:
             self._learn_touch(self._touches, entries)
+        if self._parts is not None:
+            self._learn_part(self._parts, entries)
         if self._production is not None:
             self._production.advance(entries, now_ns)
         self._rest.update(now_ns)
@@ -487,9 +491,21 @@ class App:
         if learner.touch is None or not self.cycle.stands:
             return
         values = learner.keep(self._parameters.settings.tracking.camera)
-        answer = self._parameters.set(values, touches.WHO) if values else {}
+        self._keep_learned(values, touches.WHO, "what the touch has shown")
+
+    def _learn_part(self, learner: PartLearner, entries: Sequence[LogEntry]) -> None:
+        """Set the part's mass by the release of a good assembly, once the robot stands."""
+        learner.record_weight(entries)
+        if learner.mass is None or not self.cycle.stands:
+            return
+        values = learner.keep(self._parameters.settings.tracking.payload)
+        self._keep_learned(values, part_mass.WHO, "what the part weighs")
+
+    def _keep_learned(self, values: Mapping[str, Any], who: str, what: str) -> None:
+        """Set what was learned; an event says why it is not used."""
+        answer = self._parameters.set(values, who) if values else {}
         if isinstance(answer, dict) and "refused" in answer:
-            self._events.add(f"what the touch has shown is not used: {answer['refused']}")
+            self._events.add(f"{what} is not used: {answer['refused']}")
 
     def _serve_operators(self, now_ns: int) -> None:
         """Handle operators' messages, and open a window until the next step is due."""

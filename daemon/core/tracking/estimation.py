@@ -68,6 +68,7 @@ SEATING_S = 0.012  # a clamp closes in 0.04 s; contact is detected 0.03 s after 
 NO_FORCE = (0.0, 0.0, 0.0)
 UNHELD = (0.0, 0.0)  # bolts in their holes have shown nothing yet
 HELD_GATE = 5.0  # of a place that bolts in their holes show [sigma]
+CLEAR_WAY = 0.05  # way from the object at which a released tool has cleared it [m]
 BLIND_S = 0.06  # without a distance for longer than this the object is not seen [s]
 
 
@@ -176,9 +177,10 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         raw: wrench of the sensor.
     """
     if Gate.WHEEL_RELEASED in state.passed:
-        later = tare.released(state.tare, raw, tracker.cycle_s)
+        is_clear = state.distance < -CLEAR_WAY
+        later = tare.released(state.tare, raw, tracker.cycle_s, is_clear=is_clear)
         return state if later is state.tare else replace(state, tare=later)
-    if state.contact and release.is_held_by_hub(tracker.reference.gated, state.passed, state.time):
+    if state.contact and _is_unloading(tracker, state):
         delay = tracker.compliance.delays[0] * tracker.cycle_s
         later = tare.unloaded(state.tare, tracker.settings.tactile, tracker.cycle_s, delay)
         return state if later is state.tare else replace(state, tare=later)
@@ -186,11 +188,7 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     is_free = state.started and not state.contact and -math.inf < state.distance < -near
     if raw is None or not is_free or state.withdrawn is not None or state.stood > 0.0:
         return state
-    # Gravity is along -z of base.
-    a, b, c, d, e, f, g, h, i = rotations.exp_rows(*state.poses[0, 3:].tolist())
-    x, y, z = tracker.reference.axes[2]
-    down = (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
-    settings = tracker.settings
+    down, settings = gravity(tracker, state.poses[0]), tracker.settings
     # The force that brakes the tool on its way is no weight.
     inertia = tracker.vibration.mass * state.acceleration
     still = replace(raw, force=raw.force + np.array((0.0, 0.0, inertia)))
@@ -198,6 +196,21 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         state.tare, still, down, settings.payload, settings.tactile, tracker.cycle_s
     )
     return replace(state, tare=later)
+
+
+def gravity(tracker: Tracker, pose: Array) -> Vector3:
+    """Return the unit vector of gravity in a tcp (6,) in c: it is along -z of base."""
+    a, b, c, d, e, f, g, h, i = rotations.exp_rows(*pose[3:].tolist())
+    x, y, z = tracker.reference.axes[2]
+    return (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
+
+
+def _is_unloading(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the object takes weight over: a known one as soon as it is screwed on."""
+    if state.tare.part is None:
+        return release.is_held_by_hub(tracker.reference.gated, state.passed, state.time)
+    is_fixed = Gate.SCREWS_FIXED in state.passed and state.fixing is not None
+    return state.tare.unloading is not None or (is_fixed and not state.force_sign.is_suspect)
 
 
 def _accelerated(
@@ -242,10 +255,11 @@ def planned_acceleration(tracker: Tracker, poses: Array) -> float:
 
 def elastic(state: TrackerState, pose: Array) -> Array:
     """Return the elastic tcp (6,) of a rigid one that hangs still."""
-    if state.tare.sag is None:
+    sag = tare.mounted(state.tare)
+    if sag is None:
         return pose
     x, y, z, *at = pose.tolist()
-    dx, dy, dz, *bend = (state.tare.borne * state.tare.sag).tolist()
+    dx, dy, dz, *bend = sag.tolist()
     a, b, c, d, e, f, g, h, i = rotations.exp_rows(*at)
     place = x + a * dx + b * dy + c * dz, y + d * dx + e * dy + f * dz, z + g * dx + h * dy + i * dz
     turned = rotations.multiply(rotations.exp_quaternion(*at), rotations.exp_quaternion(*bend))
@@ -258,9 +272,10 @@ def sagging(state: TrackerState, target: Array) -> Array:
     Args:
         target: (m, 6), stays as it is.
     """
-    if state.tare.sag is None:
+    sag = tare.commanded(state.tare)
+    if sag is None:
         return target
-    back = -state.tare.share * state.tare.sag
+    back = -sag
     vectors, arms = rotations.turned_many(target[:, 3:], back[3:], back[:3])
     rigid = np.empty_like(target)
     np.add(target[:, :3], arms, out=rigid[:, :3])

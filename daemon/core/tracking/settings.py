@@ -136,8 +136,10 @@ class PayloadSettings:
 
     Attributes:
         mass: on the mount [kg]. 0: the mean force before contact counts as weight if it is along
-            gravity and larger than a bias.
+            gravity and larger than a bias. 0 as well if the tcp was measured with it on the mount.
         centre: its centre of gravity in the tcp [m].
+        part_mass: what the object keeps of it [kg]. Once the screws are fixed the object takes
+            that weight over, before the clamp opens. 0: not known.
         bolts: length of bolts or pins that enter before the face touches [m]. A force felt over
             that way is contact only if it is as large as a face's.
         bolt_angle: by which their angle about the object's axis may be off to each side, unseen by
@@ -149,6 +151,7 @@ class PayloadSettings:
 
     mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
     centre: tuple[Lever, Lever, Lever] = (0.0, 0.0, 0.0)
+    part_mass: Annotated[float, Ge(0.0), Le(2000.0)] = 0.0
     bolts: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
     bolt_angle: Annotated[float, Ge(0.0), Le(0.3)] = 0.0
     bolt_play: Annotated[float, Ge(0.0), Le(0.01)] = 0.0

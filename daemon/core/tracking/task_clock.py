@@ -13,7 +13,7 @@ from linemate.daemon.core.tracking.go_no_go.clock_ramp import ClockRamp
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
-from linemate.daemon.core.tracking.touch import guard, release, touch_proof
+from linemate.daemon.core.tracking.touch import guard, release, tare, touch_proof
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
 LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object any more [m]
@@ -231,7 +231,10 @@ def _standing(tracker: Tracker, state: TrackerState, *, stands: bool) -> tuple[f
 
 
 def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float | None:
-    """Return for how long the release waits for a calm contact [s]; None if it does not."""
+    """Return for how long the release waits for a calm contact [s]; None if it does not.
+
+    And for the object to take the weight over.
+    """
     at = tracker.task.tool.release_wheel
     is_due = state.contact and not retreat and state.releasing is None
     if not is_due or not at - CALMING_S <= state.time < at:
@@ -239,7 +242,8 @@ def _oscillated(tracker: Tracker, state: TrackerState, retreat: bool) -> float |
     waited = 0.0 if state.oscillated is None else state.oscillated
     if waited >= release.LONGEST_WAIT_S:
         return None
-    if release.is_calm(state.compliance.power, state.pull):
+    pull = tare.without_weight(state.tare, state.pull)
+    if release.is_calm(state.compliance.power, pull) and not tare.is_lowering(state.tare):
         return None
     return waited + tracker.cycle_s if state.time >= at - 1.5 * tracker.cycle_s else waited
 

@@ -13,7 +13,14 @@ from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, linear_axis, merge
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.damping import horizon_shares
-from linemate.daemon.core.tracking.estimation import comply, estimate, felt_part, is_seated, sagging
+from linemate.daemon.core.tracking.estimation import (
+    CLEAR_WAY,
+    comply,
+    estimate,
+    felt_part,
+    is_seated,
+    sagging,
+)
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING
 from linemate.daemon.core.tracking.go_no_go.decision import GO
@@ -53,7 +60,6 @@ from linemate.daemon.core.tracking.transverse import TransverseState
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
 HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
 STEADY_S = 1.0  # of the conveyor, before a robot's lag is judged [s]
-CLEAR_WAY = 0.05  # way from the object at which a released tool has cleared it [m]
 
 
 def at_rest(tracker: Tracker, pose: Array, axis: float) -> TrackerState:

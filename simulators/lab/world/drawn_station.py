@@ -18,6 +18,7 @@ from linemate.simulators.lab.world import drawn_line
 from linemate.simulators.mujoco_world.mujoco_cell import ArmDrives, Car
 
 WHAT = "another body, line, mount and camera for each seed"
+WEIGHED = "the same stations, whose wheel's mass is stated with an error of up to 10 %"
 LINE = replace(drawn_line.LINES[drawn_line.NAME], key="station")
 """Up to four stops of 50 to 300 and starts of 13 to 100 mm/s^2, before, in and after contact."""
 
@@ -32,6 +33,8 @@ MOUNT_DAMPING = (0.01, 0.04)
 FRICTION = (0.05, 0.4)
 PLAY = (0.2e-3, 0.8e-3)  # of a bolt in its hole [m]
 GEAR_SHARE = (0.6, 1.5)  # stiffness of the gears over the station's
+WHEEL_MASS = "mujoco.tool.wheel_mass"
+WEIGHING = (0.9, 1.1)  # stated mass of the wheel over the true one
 HAND_EYE = (1.0e-3, 1.0e-3)  # error of the calibration: in any direction [m], about any axis [rad]
 
 
@@ -48,6 +51,14 @@ def overrides(seed: int) -> tuple[str, ...]:
     }
     sets = (f"{key}={json.dumps(value)}" for key, value in values.items())
     return (*sets, *drawn_line.stops_and_starts(LINE, seed))
+
+
+def weighed_overrides(seed: int) -> tuple[str, ...]:
+    """Return the same, and the mass of the wheel as an engineer states it."""
+    sets = overrides(seed)
+    (mass,) = (json.loads(v) for k, _, v in (s.partition("=") for s in sets) if k == WHEEL_MASS)
+    error = Random(f"weighed wheel {seed}").uniform(*WEIGHING)  # noqa: S311 - not for secrets
+    return (*sets, f"tracking.payload.part_mass={error * mass:.2f}")
 
 
 def _even(random: Random, low: float, high: float) -> float:

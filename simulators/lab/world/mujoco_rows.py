@@ -52,6 +52,7 @@ MUJOCO_ROWS = {
         "a body of 300 kg", ("mujoco.car.mass=300.0", "mujoco.car.inertia=[370.0, 120.0, 430.0]")
     ),
     "mujoco-drawn": MujocoRow(drawn_station.WHAT, draw=drawn_station.overrides),
+    "mujoco-drawn-weighed": MujocoRow(drawn_station.WEIGHED, draw=drawn_station.weighed_overrides),
 }
 DRAWN = {name: row.what for name, row in MUJOCO_ROWS.items() if row.draw is not None}
 """Rows of which each seed draws its own, and what they are."""

@@ -199,3 +199,76 @@ def test_a_small_weight_stays_on_the_mount_and_a_released_one_goes_on_from_there
 def test_the_tare_is_frozen_before_the_tips_of_bolts_can_touch() -> None:
     assert tare.frozen_within(0.012, 0.025) == pytest.approx(0.030)
     assert tare.frozen_within(0.012, 0.0) == pytest.approx(0.015)
+
+
+PART, DELAY = PayloadSettings(part_mass=25.0), 0.1
+ZEROED = wrench(0.4, -0.3)
+
+
+def handed(state: Tare, lasting: float = tare.HANDING_S + 0.15) -> Tare:
+    for _ in range(round(lasting / DT)):
+        state = tare.unloaded(state, MOUNT, DT, DELAY)
+    return state
+
+
+def test_a_part_of_known_weight_shifts_no_target_before_it_is_screwed_on() -> None:
+    """The tcp was measured, and the sensor zeroed, with the wheel on."""
+    state = hung(ZEROED, PART)
+    assert tare.commanded(state) is None
+    assert tare.mounted(state) is None
+    assert not tare.is_handed(state)
+
+
+@pytest.mark.parametrize("free", [ZEROED, wrench(-60.0), wrench(10.0 * tare.GRAVITY + WEIGHT)])
+def test_a_hub_takes_a_part_of_known_weight_over_wherever_the_sensor_was_zeroed(
+    free: Wrench,
+) -> None:
+    state = handed(hung(free, PART))
+    before, after = hung(free).sag, tare.commanded(state)
+    assert after is not None
+    lowered = after if before is None else after - before
+    assert lowered[0] == pytest.approx(-WEIGHT / MOUNT.stiffness[0])
+    assert tare.is_handed(state)
+    assert not tare.is_lowering(state)
+    contact = tare.tared(state, wrench(float(free.force[0]) - WEIGHT, 20.0), MOUNT)
+    assert contact is not None
+    assert contact.force[0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_weight_goes_over_slowly_and_the_mount_follows_the_target() -> None:
+    state, last, fastest = hung(ZEROED, PART), 0.0, 0.0
+    for _ in range(200):
+        state = tare.unloaded(state, MOUNT, DT, DELAY)
+        shift, bent = tare.commanded(state), tare.mounted(state)
+        way = 0.0 if shift is None else float(shift[0])
+        assert way <= (0.0 if bent is None else float(bent[0])) <= 0.0
+        fastest, last = max(fastest, (last - way) / DT), way
+    assert fastest < 0.006
+    assert last == pytest.approx(-WEIGHT / MOUNT.stiffness[0])
+
+
+def test_no_weight_that_is_stated_presses_with_more_than_the_tool_withstands() -> None:
+    state = handed(hung(ZEROED, PayloadSettings(part_mass=2000.0)))
+    bent = tare.mounted(state)
+    assert bent is not None
+    force = float(np.linalg.norm(bent[:3] * MOUNT.stiffness))
+    assert force == pytest.approx(tare.HANDED * MOUNT.overload_force)
+
+
+def test_a_force_along_gravity_is_no_reason_to_keep_the_clamp_closed_once_handed() -> None:
+    free, pull = hung(ZEROED, PART), (40.0, 20.0, -50.0)
+    assert tare.without_weight(free, pull) == pull
+    assert tare.without_weight(handed(free), pull) == pytest.approx((0.0, 20.0, -50.0))
+
+
+def test_the_empty_tool_stays_lowered_until_it_is_clear_of_the_object() -> None:
+    """The mount springs up without the wheel: the elastic tool stays where it was."""
+    state = handed(hung(ZEROED, PART))
+    for _ in range(100):
+        state = tare.released(state, wrench(-WEIGHT), DT, is_clear=False)
+    shift = tare.commanded(state)
+    assert shift is not None
+    assert shift[0] == pytest.approx(-WEIGHT / MOUNT.stiffness[0])
+    for _ in range(600):
+        state = tare.released(state, wrench(-WEIGHT), DT, is_clear=True)
+    assert tare.commanded(state) is None

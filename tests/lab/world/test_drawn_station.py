@@ -48,6 +48,17 @@ def test_each_seed_is_another_station_and_always_the_same(setups: list[Setup]) -
     assert drawn(3) == setups[3]
 
 
+def test_a_weighed_station_is_the_same_and_states_its_wheel_within_a_tenth(
+    setups: list[Setup],
+) -> None:
+    for seed, setup in enumerate(setups):
+        weighed = mujoco_rows.prepared("mujoco-drawn-weighed", (), None, seed)
+        assert weighed.mujoco == setup.mujoco
+        stated, true = weighed.tracking.payload.part_mass, setup.mujoco.tool.wheel_mass
+        assert true is not None
+        assert stated == pytest.approx(true, rel=0.101)
+
+
 def test_the_row_is_measured_only_when_it_is_named(tmp_path: Path) -> None:
     assert NAME not in measure.chosen(None, "mujoco")
     assert measure.chosen(NAME, "mujoco") == (NAME,)

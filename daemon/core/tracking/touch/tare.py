@@ -9,6 +9,8 @@ Invariants:
 - What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
   the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
   A weight that the sensor shows counts there, if it is clearly more than the configured one.
+- A part of known weight is taken over whole, wherever sensor and tcp were zeroed: the target is
+  lowered by what the mount springs up without it, as far as the overload allows.
 - After the release the reading of the empty tool is not known: a sensor that was zeroed with the
   wheel on shows its weight with the other sign then. An overload counts from the mean since.
 - A wrench that no free tool has does not enter.
@@ -37,6 +39,8 @@ MISJUDGED = 0.15  # share by which a payload weighs other than known
 SHARE = 0.8  # of a weight's force that is along gravity; a bias has any direction
 LARGEST_SAG = 0.1  # of the mount under a free tool: more is no weight [m, rad]
 UNLOADING_S = 0.4  # in which the hub takes weight over from the mount [s]
+HANDING_S = 2.0  # in which it takes over a part of known weight: a soft carrier sinks by 20 mm [s]
+HANDED = 0.8  # share of the overload that it takes over at most
 LARGEST_SPRING = 0.004  # sag with which the clamp may open: the tool springs up by twice that [m]
 RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
 SPRUNG_S = 1.0  # over which the reading of the empty tool is averaged: several swings of 4 Hz [s]
@@ -51,6 +55,8 @@ class Tare(Struct, frozen=True, eq=False):
         unloading: time since the hub began to take the weight over [s]; None before.
         share: of the sag that the target still has.
         borne: share of the weight that the mount still carries; the motion is late.
+        part: (6,) deflection of the mount by the part that the object keeps [m, rad], None if its
+            weight is not known. ``share`` and ``borne`` are of that, then.
         empty: (3,) mean force of the tool since it released the wheel [N], None before.
         emptied: time since then [s].
     """
@@ -62,6 +68,7 @@ class Tare(Struct, frozen=True, eq=False):
     borne: float = 1.0
     empty: Array | None = None
     emptied: float = 0.0
+    part: Array | None = None
 
 
 NO_TARE = Tare()
@@ -101,7 +108,16 @@ def updated(
     mean = np.array(raw)
     if tare.wrench is not None:
         mean = tare.wrench + (dt / MEAN_S) * (mean - tare.wrench)
-    return Tare(mean, _sag(mean, down, payload, stiffness))
+    return Tare(mean, _sag(mean, down, payload, stiffness), part=_part(down, payload, mount))
+
+
+def _part(down: Vector3, payload: PayloadSettings, mount: TactileNoise) -> Array | None:
+    """Return the deflection (6,) by the part that the object keeps [m, rad], None if not known."""
+    if payload.part_mass <= 0.0:
+        return None
+    weight = min(payload.part_mass * GRAVITY, HANDED * mount.overload_force)
+    bent = [weight * each / k for each, k in zip(down, mount.stiffness, strict=True)]
+    return np.array((*bent, 0.0, 0.0, 0.0))
 
 
 def _sag(
@@ -145,30 +161,76 @@ def carried(tare: Tare, mount: TactileNoise) -> Vector3:
     if tare.empty is not None:
         x, y, z = tare.empty.tolist()
         return (x, y, z)
-    if tare.wrench is None or tare.sag is None:
+    sag = mounted(tare)
+    if tare.wrench is None or sag is None:
         return (0.0, 0.0, 0.0)
-    bent = (tare.borne * tare.sag[:3]).tolist()
-    x, y, z = (bend * k for bend, k in zip(bent, mount.stiffness, strict=True))
+    x, y, z = (bend * k for bend, k in zip(sag[:3].tolist(), mount.stiffness, strict=True))
+    return (x, y, z)
+
+
+def commanded(tare: Tare) -> Array | None:
+    """Return the sag (6,) that the target has [m, rad], None without one."""
+    return _left(tare, tare.share)
+
+
+def mounted(tare: Tare) -> Array | None:
+    """Return the sag (6,) of the mount now [m, rad], None without one."""
+    return _left(tare, tare.borne)
+
+
+def _left(tare: Tare, share: float) -> Array | None:
+    """Return the sag (6,) while a share of what is handed over is still on the mount."""
+    if tare.part is None or share == 1.0:
+        return None if tare.sag is None else share * tare.sag
+    sprung = (share - 1.0) * tare.part
+    return sprung if tare.sag is None else tare.sag + sprung
+
+
+def is_handed(tare: Tare) -> bool:
+    """Return whether the hub takes over a part of known weight, or has."""
+    return tare.part is not None and tare.unloading is not None
+
+
+def is_lowering(tare: Tare) -> bool:
+    """Return whether the mount still carries some of a part that the hub takes over."""
+    return is_handed(tare) and tare.borne > 0.0
+
+
+def without_weight(tare: Tare, force: Vector3) -> Vector3:
+    """Return a force on the tool without what is left of a part's weight, in the tcp [N]."""
+    if tare.part is None or not is_handed(tare):
+        return force
+    down = tare.part[:3] / float(np.linalg.norm(tare.part[:3]))
+    x, y, z = (np.array(force) - down.dot(force) * down).tolist()
     return (x, y, z)
 
 
 def unloaded(tare: Tare, mount: TactileNoise, dt: float, delay: float) -> Tare:
-    """Return the tare one step later, while the hub takes over a part of a large weight.
+    """Return the tare one step later, while the hub takes over a part of the weight.
+
+    All of a part of known weight; else what is large.
 
     Args:
         delay: from the target to the tool's motion [s].
     """
-    if tare.sag is None:
+    given, duration = _given(tare, mount), UNLOADING_S if tare.part is None else HANDING_S
+    if given <= 0.0:
         return tare
+    lasted = 0.0 if tare.unloading is None else tare.unloading + dt
+    share = 1.0 - given * smoothstep_at(lasted / duration)
+    borne = 1.0 - given * smoothstep_at((lasted - delay) / duration)
+    return replace(tare, unloading=lasted, share=share, borne=borne)
+
+
+def _given(tare: Tare, mount: TactileNoise) -> float:
+    """Return the share of the weight that the hub takes over."""
+    if tare.part is not None:
+        return 1.0
+    if tare.sag is None:
+        return 0.0
     size = float(np.linalg.norm(tare.sag[:3]))
     spring = size * (1.0 + _unknown_share(tare, mount))
-    if spring <= LARGEST_SPRING:
-        return tare
-    given = min((spring - LARGEST_SPRING) / size, 1.0)
-    lasted = 0.0 if tare.unloading is None else tare.unloading + dt
-    share = 1.0 - given * smoothstep_at(lasted / UNLOADING_S)
-    borne = 1.0 - given * smoothstep_at((lasted - delay) / UNLOADING_S)
-    return replace(tare, unloading=lasted, share=share, borne=borne)
+    return min((spring - LARGEST_SPRING) / size, 1.0)
 
 
 def _unknown_share(tare: Tare, mount: TactileNoise) -> float:
@@ -185,15 +247,17 @@ def is_misjudged(weight: float, known: float) -> bool:
     return abs(weight - known) > max(WEIGHT_N, MISJUDGED * known)
 
 
-def released(tare: Tare, wrench: Wrench | None, dt: float) -> Tare:
+def released(tare: Tare, wrench: Wrench | None, dt: float, *, is_clear: bool = True) -> Tare:
     """Return the tare of a tool without its wheel: the sag leaves the target slowly.
+
+    That of an empty tool of known weight stays until it is clear of the object.
 
     Args:
         wrench: raw, of this step.
     """
-    sag = None
-    if tare.sag is not None:
-        left = (1.0 - dt / RELEASED_S) * tare.share * tare.sag
+    sag = commanded(tare)
+    if sag is not None and (is_clear or tare.part is None):
+        left = (1.0 - dt / RELEASED_S) * sag
         sag = left if float(np.abs(left).max()) > 1e-6 else None
     empty, emptied = tare.empty, tare.emptied
     if wrench is not None and emptied < SPRUNG_S:
@@ -202,17 +266,19 @@ def released(tare: Tare, wrench: Wrench | None, dt: float) -> Tare:
         empty = before + (dt / emptied) * (wrench.force - before)
     if sag is None and tare.sag is None and tare.wrench is None and empty is tare.empty:
         return tare
-    return Tare(None, sag, empty=empty, emptied=emptied)
+    return Tare(None, sag, empty=empty, emptied=emptied, part=tare.part)
 
 
 def tared(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | None:
     """Return the wrench of the contact alone."""
-    mean = tare.wrench
-    if wrench is None or mean is None or math.hypot(*mean[:3].tolist()) < LEAST_N:
+    mean, given = tare.wrench, tare.sag if tare.part is None else tare.part
+    if wrench is None or mean is None:
         return wrench
-    if tare.sag is not None and tare.unloading is not None:
+    if given is not None and tare.unloading is not None:
         stiffness = np.array((*mount.stiffness, *mount.rotational_stiffness))
-        mean = mean - (1.0 - tare.borne) * tare.sag * stiffness
+        mean = mean - (1.0 - tare.borne) * given * stiffness
+    elif math.hypot(*mean[:3].tolist()) < LEAST_N:
+        return wrench
     return replace(wrench, force=wrench.force - mean[:3], torque=wrench.torque - mean[3:])
 
 
@@ -222,9 +288,9 @@ def bending(tare: Tare, wrench: Wrench | None, mount: TactileNoise) -> Wrench | 
     Args:
         wrench: of the contact alone.
     """
-    if wrench is None or tare.sag is None:
+    sag = mounted(tare)
+    if wrench is None or sag is None:
         return wrench
-    sag = tare.borne * tare.sag
     force = wrench.force + sag[:3] * np.array(mount.stiffness)
     torque = wrench.torque + sag[3:] * np.array(mount.rotational_stiffness)
     return replace(wrench, force=force, torque=torque)
