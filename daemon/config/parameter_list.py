@@ -58,6 +58,7 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.fusion": _LIVE,
     "tracking.fusion.ripple_time": _IDLE,
     "tracking.fusion.initial_images": _IDLE,
+    "tracking.payload.part_mass": _NOT_IN_CONTACT,
     "tracking.tactile": _NOT_IN_CONTACT,
     "tracking.rule": _NOT_IN_CONTACT,
     "tracking.bank": _NOT_IN_CONTACT,

@@ -5,6 +5,7 @@ The whole service runs in virtual time, driven through the command protocol alon
 
 import math
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,8 @@ from linemate.simulators.lab.shift import plan, shift
 from linemate.simulators.lab.shift.opc_line import OpcLineController
 from linemate.simulators.lab.shift.run import ShiftOutcome, ShiftRun, run
 from linemate.simulators.plants.conveyor_plan import Conveyor, ConveyorEvent
-from linemate.simulators.plants.scenario import Body, Contact, Robot, Scenario, Swing
+from linemate.simulators.plants.forces.switches import Load
+from linemate.simulators.plants.scenario import Body, Contact, Effector, Robot, Scenario, Swing
 
 TASK = Path(harness.__path__[0]) / "data" / "tasks" / "dst.yaml"
 REST = (0.0, -1.3829204815564327, 1.5925020939891852, 0.0, 1.3612147143621445, 0.0, 0.0)
@@ -50,8 +52,9 @@ CARS = (
 GOOD = ("P1", "P5")
 
 
-def station(folder: Path, settings: str = STATION) -> LineStation:
+def station(folder: Path, settings: str = STATION, done_s: float = 3.33) -> LineStation:
     text = TASK.read_text().replace("start_position: 0.0", "start_position: 1.0")
+    text = text.replace("time: 3.33", f"time: {done_s}")
     for name, height in HUBS.items():
         placed = text.replace(
             "nominal: {position: [2.20, 0.0, 1.10]", f"nominal: {{position: [2.20, 0.0, {height:g}]"
@@ -164,6 +167,20 @@ def test_a_good_car_corrects_the_camera_for_the_next_one(tmp_path: Path) -> None
     taught.run()
     # The first one teaches after it has left, the second one fails.
     assert 0.0 < math.hypot(*corrections[1]) < 1e-3
+
+
+@pytest.mark.row
+def test_a_good_car_shows_what_its_wheel_weighs(tmp_path: Path) -> None:
+    folder = tmp_path / "records"
+    folder.mkdir()
+    made = station(tmp_path, f"{STATION}learn_part_mass: true\n", done_s=3.7)
+    load = Effector(load=Load(wheel_mass=25.0))
+    made = replace(made, scenario=replace(made.scenario, effector=load))
+    taught = ShiftRun(made, CARS[:1], TAKT_S, folder)
+    taught.run()
+    assert taught.app is not None
+    payload = taught.app.cycle.parameters.tracker.settings.payload
+    assert payload.part_mass == pytest.approx(25.0, abs=1.0)
 
 
 def rows(**changes: object) -> dict[str, object]:
