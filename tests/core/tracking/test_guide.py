@@ -410,3 +410,19 @@ def test_an_impulse_that_leads_no_target_hides_no_stop_that_is_announced() -> No
     assert weighed(2.0, 0.0, is_announced=False) < 0.01
     assert weighed(-5.0, 0.0) < 0.01
     assert weighed(2.0, -3.0) < 0.01
+
+
+def test_a_guide_that_the_distance_sensor_contradicts_for_long_begins_again() -> None:
+    """MuJoCo station 107: it stopped on, 37 mm behind a line that had started again: 699 N."""
+    state, _ = in_contact(3.0, 0.0)
+    assert state.guide is not None
+    lost = state.guide.x.copy()
+    lost[[Y, V]] += -0.02, -0.05
+    state = structs.replace(state, guide=structs.replace(state.guide, x=lost))
+    way = SPEED * 3.0
+    for k in range(round(0.2 / DT)):
+        at = way + SPEED * k * DT
+        rows = [PositionMeasurement(Source.DISTANCE, at, 0.001, 0.00038**2, 4.0)]
+        state = BANK.advance(state, rows, DT)
+    assert state.guide is not None
+    assert float(state.guide.x[Y] - state.x[Y]) == pytest.approx(0.0, abs=0.001)
