@@ -226,18 +226,20 @@ def _pressed(parameters: Parameters) -> Iterator[Complaint]:
 
 
 def _untouched(parameters: Parameters) -> Iterator[Complaint]:
-    """Return the waypoint of contact if neither it nor the search behind it reaches the object."""
+    """Return the waypoint of contact if neither it nor the search behind it presses enough."""
     task, reference = parameters.tracker.task, parameters.tracker.reference
     phases = [point.phase for point in task.waypoints]
     if Phase.CONTACT not in phases:
         return
     i, search = phases.index(Phase.CONTACT), task.guard.overrun
-    gap = -float(reference.points[i, 2])
-    if reference.travels[i] and gap > search:
+    gap, mount = -float(reference.points[i, 2]), parameters.tracker.settings.tactile
+    pressed = max(search - gap, 0.0) * mount.stiffness[2]
+    is_felt = pressed >= mount.contact_force or gap <= search == 0.0
+    if reference.travels[i] and not is_felt:
         what = (
             f"{1e3 * gap:g} mm before the object's surface, and the search goes on for "
-            f"{1e3 * search:g} mm (guard.overrun): the tool does not touch. Set the position of "
-            "its surface."
+            f"{1e3 * search:g} mm (guard.overrun): the tool presses with {pressed:.0f} N, a touch "
+            f"is felt from {mount.contact_force:g} N on. Set the position of its surface."
         )
         yield Complaint(("waypoints", i, "pose", "position"), what)
 

@@ -27,7 +27,7 @@ from linemate.daemon.config.settings import (
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.control import urdf_limits
-from linemate.daemon.core.tracking.touch.tare import GRAVITY
+from linemate.daemon.core.tracking.touch.tare import GRAVITY, LARGEST_SAG
 from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.sensors.wrench import LARGEST_FORCES
 
@@ -138,6 +138,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
     _refuse_unseen_overload(document, config)
+    _refuse_unbearable_payload(document, config)
     return LoadedConfig(
         path,
         config,
@@ -221,6 +222,28 @@ def _refuse_unseen_overload(document: YamlDocument, config: Config) -> None:
         )
         path = ("tracking", "tactile", "overload_force")
         raise FileError(document.lines([Complaint(path, what)]))
+
+
+def _refuse_unbearable_payload(document: YamlDocument, config: Config) -> None:
+    """Refuse a payload that bends the mount by more than any free tool.
+
+    Raises:
+        FileError: the mass or the stiffness has another unit.
+    """
+    payload, stiffness = config.tracking.payload, min(config.tracking.tactile.stiffness)
+    masses = {"mass": payload.mass, "part_mass": payload.part_mass}
+    complaints = [
+        Complaint(
+            ("tracking", "payload", name),
+            f"{mass:g} kg bend the mount by {1e3 * mass * GRAVITY / stiffness:.0f} mm at "
+            f"{stiffness:g} N/m, {1e3 * LARGEST_SAG:g} mm at most. Check it, and "
+            "tracking.tactile.stiffness.",
+        )
+        for name, mass in masses.items()
+        if mass * GRAVITY > LARGEST_SAG * stiffness
+    ]
+    if complaints:
+        raise FileError(document.lines(complaints))
 
 
 def schema() -> dict[str, Any]:

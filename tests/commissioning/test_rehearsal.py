@@ -101,6 +101,11 @@ def test_a_contact_that_the_search_does_not_reach_is_reported_with_both_ways() -
     assert complaints_of(with_position(3, 0.0, 0.0, -0.01)) == []
 
 
+def test_a_search_that_presses_with_less_than_a_touch_is_reported() -> None:
+    (what,) = complaints_of(with_position(3, 0.0, 0.0, -0.0118))
+    assert "the tool presses with 10 N, a touch is felt from 15 N on" in what
+
+
 def test_an_axis_beyond_its_position_limit_is_reported() -> None:
     rows = list(shipped_control().limits)
     rows[0] = replace(rows[0], upper=0.01)

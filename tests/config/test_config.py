@@ -97,6 +97,14 @@ def test_an_overload_beyond_what_the_force_sensor_can_state_is_refused(write: Wr
     config.load(write(text.replace("robotiq-ft300", "bota") + "  distance: {deviation: 4e-4}\n"))
 
 
+@pytest.mark.parametrize("name", ["mass", "part_mass"])
+def test_a_payload_that_no_mount_bears_is_refused(write: Write, name: str) -> None:
+    text = "task: wheel.yaml\nrsi: {config: rsi_joints.xml}\ntracking:\n  payload: {"
+    (line,) = errors(write(f"{text}{name}: 2000}}\n"))
+    assert f"tracking.payload.{name}: 2000 kg bend the mount by 392 mm at 50000 N/m" in line
+    config.load(write(f"{text}{name}: 200}}\n"))
+
+
 @pytest.mark.parametrize("family", ["rsi", "egm", "fanuc"])
 def test_any_cycle_from_1_to_24_ms_is_taken(write: Write, family: str) -> None:
     peer = "peer: 192.0.2.10, rail: true, signals_byte: 0, " if family == "fanuc" else ""
