@@ -225,12 +225,12 @@ def _refuse_unseen_overload(document: YamlDocument, config: Config) -> None:
 
 
 def _refuse_unbearable_payload(document: YamlDocument, config: Config) -> None:
-    """Refuse a payload that bends the mount by more than any free tool.
+    """Refuse a payload that bends the mount by more than any free tool, however it hangs.
 
     Raises:
         FileError: the mass or the stiffness has another unit.
     """
-    payload, stiffness = config.tracking.payload, min(config.tracking.tactile.stiffness)
+    payload, stiffness = config.tracking.payload, max(config.tracking.tactile.stiffness)
     masses = {"mass": payload.mass, "part_mass": payload.part_mass}
     complaints = [
         Complaint(

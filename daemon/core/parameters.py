@@ -105,6 +105,7 @@ def _axis_travel(task: TaskFile, arm: kinematics.Arm) -> float:
         return task.linear_axis.travel
     joints = np.zeros(arm.axes)
     rail = arm.tcp_in_base(joints)[1] @ arm.tcp_jacobian(joints)[:, 6]
+    # Rounded: an axis along the conveyor has its share exactly.
     return task.linear_axis.travel * round(float(rail @ np.array(task.conveyor.axis)), 6)
 
 

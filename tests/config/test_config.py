@@ -103,6 +103,9 @@ def test_a_payload_that_no_mount_bears_is_refused(write: Write, name: str) -> No
     (line,) = errors(write(f"{text}{name}: 2000}}\n"))
     assert f"tracking.payload.{name}: 2000 kg bend the mount by 392 mm at 50000 N/m" in line
     config.load(write(f"{text}{name}: 200}}\n"))
+    # A mount may be soft along its axis alone.
+    soft = "  tactile: {stiffness: [50000, 50000, 3000]}\n"
+    config.load(write(f"{text}{name}: 60}}\n{soft}"))
 
 
 @pytest.mark.parametrize("family", ["rsi", "egm", "fanuc"])

@@ -230,7 +230,7 @@ def _given(tare: Tare, mount: TactileNoise) -> float:
         return 0.0
     size = float(np.linalg.norm(tare.sag[:3]))
     spring = size * (1.0 + _unknown_share(tare, mount))
-    return min((spring - LARGEST_SPRING) / size, 1.0)
+    return min((spring - LARGEST_SPRING) / size, 1.0) if spring > LARGEST_SPRING else 0.0
 
 
 def _unknown_share(tare: Tare, mount: TactileNoise) -> float:
