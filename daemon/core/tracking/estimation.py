@@ -190,7 +190,7 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
         return state
     down, settings = gravity(tracker, state.poses[0]), tracker.settings
     # The force that brakes the tool on its way is no weight.
-    inertia = tracker.vibration.mass * state.acceleration
+    inertia = tracker.vibration.mass * state.acceleration[2]
     still = replace(raw, force=raw.force + np.array((0.0, 0.0, inertia)))
     later = tare.updated(
         state.tare, still, down, settings.payload, settings.tactile, tracker.cycle_s
@@ -228,8 +228,8 @@ def _accelerated(
     late = (samples.stamp_ns - raw.stamp_ns) * 1e-9 / tracker.cycle_s
     mean = float(raw.force[2])
     sampled = tuple([each.force[2] - mean for each in samples.wrench])
-    acceleration = at_delay(planned, late)
-    return replace(state, accelerations=planned, acceleration=acceleration, sampled=sampled)
+    x, y, z = (at_delay(values, late) for values in zip(*planned, strict=True))
+    return replace(state, accelerations=planned, acceleration=(x, y, z), sampled=sampled)
 
 
 def at_delay(values: Sequence[float], late: float) -> float:
@@ -245,12 +245,17 @@ def at_delay(values: Sequence[float], late: float) -> float:
     return newer + (late - whole) * (older - newer)
 
 
-def planned_acceleration(tracker: Tracker, poses: Array) -> float:
-    """Return the acceleration along the tool's axis at the second of some poses [m/s^2]."""
+def planned_acceleration(tracker: Tracker, poses: Array) -> Vector3:
+    """Return the acceleration in the tool's axes at the second of some poses [m/s^2]."""
     (a, b, c, *_), (x, y, z, *turned), (d, e, f, *_) = poses[:3].tolist()
-    _, _, i, _, _, j, _, _, k = rotations.exp_rows(*turned)
-    bend = i * (a - 2.0 * x + d) + j * (b - 2.0 * y + e) + k * (c - 2.0 * z + f)
-    return float(bend) / tracker.cycle_s**2
+    r, s, t, u, v, w, i, j, k = rotations.exp_rows(*turned)
+    square = tracker.cycle_s**2
+    dx, dy, dz = a - 2.0 * x + d, b - 2.0 * y + e, c - 2.0 * z + f
+    return (
+        (r * dx + u * dy + i * dz) / square,
+        (s * dx + v * dy + j * dz) / square,
+        (t * dx + w * dy + k * dz) / square,
+    )
 
 
 def elastic(state: TrackerState, pose: Array) -> Array:

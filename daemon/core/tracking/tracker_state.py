@@ -198,7 +198,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         calming: steps in which the plan is still merged without swinging, after a corner.
         oscillated: for how long the wheel's release has waited for a calm contact [s]; None if it
             does not wait.
-        accelerations: planned along the tool's axis, one a step, newest last [m/s^2].
+        accelerations: planned, in the tool's axes, one a step, newest last [m/s^2].
         acceleration: of them as the last wrench was measured [m/s^2].
         sampled: forces of its samples along the tool's axis, off their mean [N].
         ramp: how the task's clock goes on before contact.
@@ -266,8 +266,8 @@ class TrackerState(Struct, frozen=True, eq=False):
     digital_in: int = -1
     announced_s: float = math.inf
     oscillated: float | None = None
-    accelerations: tuple[float, ...] = ()
-    acceleration: float = 0.0
+    accelerations: tuple[Vector3, ...] = ()
+    acceleration: Vector3 = (0.0, 0.0, 0.0)
     sampled: tuple[float, ...] = ()
     ramp: ClockRamp = RUNNING
     calming: int = 0

@@ -367,14 +367,21 @@ def test_a_pull_is_doubted_before_the_object_also_while_the_tool_advances() -> N
     assert felt.doubtful
 
 
-def held_across(forces: list[float], frequency: float = FREQUENCY) -> int | None:
-    """The step in which a clamp is felt that pulls across the tool's axis."""
+def held_across(
+    forces: list[float], frequency: float = FREQUENCY, planned: list[float] | None = None
+) -> int | None:
+    """The step in which a clamp is felt that pulls across the tool's axis.
+
+    Args:
+        planned: accelerations of the tool [m/s^2].
+    """
     cycle_s, state = 0.012, NO_CONTACT
     axial = tool_vibration(FREQUENCY, DAMPING, STIFFNESS, FORCE, cycle_s)
     mode = tool_vibration(frequency, DAMPING, STIFFNESS, FORCE, cycle_s)
     for k, force in enumerate(forces):
         state = record_force(state, axial, 0.0, 0.0, held=False)
-        state = record_across(state, (mode, mode), (2.0, force), held=False)
+        acceleration = 0.0 if planned is None else planned[k]
+        state = record_across(state, (mode, mode), (2.0, force), (0.0, acceleration), held=False)
         if is_held_across(state, (mode, mode)):
             return k
     return None
@@ -390,6 +397,17 @@ def test_a_clamp_that_closes_off_the_objects_axis_is_felt_across(side: float) ->
 def test_a_tool_that_rings_across_is_not_held(share: float) -> None:
     ringing = [6.0 + rung(k * 0.012, 150.0, share * FREQUENCY) for k in range(-40, 80)]
     assert held_across(ringing[40 + 7 :]) is None
+
+
+def test_a_tool_that_its_own_plan_swings_across_is_not_held() -> None:
+    """The target of a blind tool is corrected by 12 mm as readings contradict it."""
+    push = [6.0 * math.sin(math.pi * k / 8) for k in range(9)]
+    planned = [0.0] * 40 + push + [-a for a in push] + [0.0] * 40
+    mass = STIFFNESS / (2.0 * math.pi * FREQUENCY) ** 2
+    # The tool follows its plan, a step late.
+    forces = [-mass * a for a in (0.0, *planned[:-1])]
+    assert held_across(forces) is not None
+    assert held_across(forces, planned=planned) is None
 
 
 def test_less_than_a_clamp_gives_is_not_held_across() -> None:

@@ -137,6 +137,7 @@ class ContactState(Struct, frozen=True):
         distances: programmed, to the object, in each of the last steps [m].
         doubtful: the force is one of a contact, but the object cannot give it.
         across: forces across the tool's axis, one a step, newest last [N].
+        unaccelerated: the same without the force that accelerates the tool as planned [N].
     """
 
     forces: tuple[float, ...] = ()
@@ -149,6 +150,7 @@ class ContactState(Struct, frozen=True):
     distances: tuple[float, ...] = ()
     doubtful: bool = False
     across: tuple[tuple[float, float], ...] = ()
+    unaccelerated: tuple[tuple[float, float], ...] = ()
 
 
 NO_CONTACT = ContactState()
@@ -190,6 +192,7 @@ def record_across(
     state: ContactState,
     vibrations: tuple[ToolVibration, ...],
     force: tuple[float, float] | None,
+    acceleration: tuple[float, float],
     *,
     held: bool,
 ) -> ContactState:
@@ -198,14 +201,19 @@ def record_across(
     Args:
         vibrations: of the tool along both of these axes.
         force: None if none was measured: then it is what it was.
+        acceleration: planned, along both [m/s^2].
         held: the robot did not get the last command and held.
     """
-    across = () if held else state.across
-    if force is None and across:
-        force = across[-1]
+    across, free = ((), ()) if held else (state.across, state.unaccelerated)
     if force is not None:
-        across = (*across, force)[-_whole_period(vibrations) :]
-    return state if across is state.across else replace(state, across=across)
+        (fx, fy), (ax, ay), (first, second) = force, acceleration, vibrations
+        newest, left = force, (fx + first.mass * ax, fy + second.mass * ay)
+    elif across:
+        newest, left = across[-1], free[-1]
+    else:
+        return state if across is state.across else replace(state, across=(), unaccelerated=())
+    count = _whole_period(vibrations)
+    return replace(state, across=(*across, newest)[-count:], unaccelerated=(*free, left)[-count:])
 
 
 def _whole_period(vibrations: tuple[ToolVibration, ...]) -> int:
@@ -217,20 +225,28 @@ def is_held_across(state: ContactState, vibrations: tuple[ToolVibration, ...]) -
     """Return whether a closed clamp pulls across the tool's axis.
 
     A clamp that closes on a tool off the object's axis shows there first: along the axis nothing
-    presses. It needs as much force as a pull along the axis, as measured and without the vibration.
+    presses. It needs as much force as a pull along the axis, as measured and without the vibration,
+    and without the force that accelerates the tool: a target that is corrected swings a free one.
     """
     if len(state.across) < _whole_period(vibrations):
         return False
     for axis, vibration in enumerate(vibrations):
-        whole, part = divmod(vibration.half, 1.0)
-        ago = -1 - int(whole)
         side = math.copysign(1.0, state.across[-1][axis])
-        forces = [side * each[axis] for each in state.across]
-        opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
-        least = max(PULL * vibration.force, -min(forces) / STEADY)
-        if min(forces[-1], forces[-1] + vibration.kept * opposite) > least:
+        if all(
+            _pull_across([side * force[axis] for force in forces], vibration)
+            for forces in (state.across, state.unaccelerated)
+        ):
             return True
     return False
+
+
+def _pull_across(forces: list[float], vibration: ToolVibration) -> bool:
+    """Return whether forces of a whole period end with a clamp's, which is positive."""
+    whole, part = divmod(vibration.half, 1.0)
+    ago = -1 - int(whole)
+    opposite = forces[ago] + part * (forces[ago - 1] - forces[ago])
+    least = max(PULL * vibration.force, -min(forces) / STEADY)
+    return min(forces[-1], forces[-1] + vibration.kept * opposite) > least
 
 
 def is_observable(state: ContactState, vibration: ToolVibration) -> bool:

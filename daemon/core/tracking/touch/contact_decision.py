@@ -60,12 +60,16 @@ def update_contact(
         before.contact_state,
         tracker.vibration,
         force,
-        after.acceleration,
+        after.acceleration[2],
         held=held,
         samples=after.sampled,
     )
     contact_state = contact.record_across(
-        contact_state, tracker.across, None if report.force is None else (x, y), held=held
+        contact_state,
+        tracker.across,
+        None if report.force is None else (x, y),
+        after.acceleration[:2],
+        held=held,
     )
     if contact_state.forces:
         near = contact.reach(tracker.task.guard.clearance)
