@@ -23,11 +23,13 @@ from linemate.daemon.core.tracking.classifiers.bank_filter import SETTLING
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
+    OFFSET,
     RIPPLE,
     SLIP,
     STATES,
     BankState,
     V,
+    Y,
 )
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
@@ -628,10 +630,15 @@ def widened_after(
             felt = NOMINAL * t + rng.normal(0.0, 1e-5)
             rows.append(PositionMeasurement(Source.TACTILE, felt, 0.001, 25e-10, 20.0))
         later = bank.advance(state, rows, T0)
-        if later.age < state.age:
+        if takes_again(state, later):
             return t - begun
         state = later
     return None
+
+
+def takes_again(before: BankState, state: BankState) -> bool:
+    """Whether the filter was widened in this step, for readings that it rejected."""
+    return before.rejected.get(Source.DISTANCE, 0) > 1 and not state.rejected
 
 
 @pytest.mark.parametrize("touch", [False, True])
@@ -662,18 +669,42 @@ def test_readings_that_have_jumped_and_go_on_at_their_speed_leave_it_known(
 ) -> None:
     """A sensor late by 33 ms made the speed unknown: the tool was led 11 mm off the hub."""
     bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
-    rng, state, age = np.random.default_rng(4), bank.initial(0.0), 0.0
+    rng, state = np.random.default_rng(4), bank.initial(0.0)
     for t in np.arange(0.0, 2.6, T0):
         value = NOMINAL * t if t < 2.0 else NOMINAL * (2.0 + share * (t - 2.0)) - 0.0035
         value += rng.normal(0.0, 2e-4)
         row = PositionMeasurement(Source.DISTANCE, value, 0.0, DEVIATION**2, 4.0)
-        state = bank.advance(state, [row], T0)
-        if state.age < age:
+        before, state = state, bank.advance(state, [row], T0)
+        if takes_again(before, state):
             break
-        age = state.age
     else:
         pytest.fail("it was never widened")
     assert least <= math.sqrt(float(state.P[V, V])) < most
+
+
+@pytest.mark.parametrize("size", [-0.03, 0.03])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_step_of_a_coarse_distance_sensor_leaves_the_object_where_it_was(
+    size: float, seed: int
+) -> None:
+    """Half of it was taken for a way of the object, and no stop was looked for: 12 mm off."""
+    deviation, cycle_s = 0.004, 0.01
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), deviation)
+    rng, state, widened = np.random.default_rng(seed), bank.initial(0.0), False
+    for k in range(1, 250):
+        t = k * cycle_s
+        read = NOMINAL * t + rng.normal(0.0, 2e-3) + (size if t > 2.0 else 0.0)
+        read = round(1e2 * read) / 1e2
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.0, deviation**2, 5.0)]
+        if t < 1.8 and k % 4 == 0:  # then the camera is blind
+            seen = NOMINAL * t + rng.normal(0.0, 5e-4)
+            rows.append(PositionMeasurement(Source.CAMERA, seen, 0.0, 5e-4**2, 5.0))
+        before, state = state, bank.advance(state, rows, cycle_s)
+        widened = widened or takes_again(before, state)
+    assert widened
+    assert state.x[Y] == pytest.approx(NOMINAL * t, abs=2e-3)
+    assert state.x[OFFSET] == pytest.approx(size, abs=4e-3)
+    assert state.age == pytest.approx(t)
 
 
 @pytest.mark.parametrize("seed", range(4))

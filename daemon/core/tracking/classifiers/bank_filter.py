@@ -41,6 +41,9 @@ MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which t
 FARTHEST = 1e3  # beyond it the square leaves too few digits for the other variances [m]
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
+AROUND = 3  # readings before and after a step whose medians are compared
+STEP_SIGMAS = 3.0  # by which the speed of readings that run on may differ
+STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a stop may explain it
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
 CREEP_DEVIATION = 0.0005  # of the lasting speed of a conveyor that stands [m/s]
 SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
@@ -252,7 +255,7 @@ def correct(
             may_widen = abs(nu) < FARTHEST and not is_faulty
             if rejections >= MOST_REJECTED and may_widen:
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
-                return _widened(model, state, nu, measurement.source)
+                return _widened(model, state, nu, measurement.source, rejections)
             continue
         if rejected.get(measurement.source):
             rejected = {**rejected, measurement.source: 0}
@@ -309,23 +312,51 @@ def _runs_back(model: BankModel, state: BankState, measurement: PositionMeasurem
     return speed < -max(noise, BACK_SHARE * model.conveyor.nominal_speed)
 
 
-def _widened(model: BankModel, state: BankState, nu: float, source: Source) -> BankState:
+def _widened(
+    model: BankModel, state: BankState, nu: float, source: Source, rejections: int
+) -> BankState:
     """Return the state with a larger covariance: the filter is wrong, not eight readings.
 
     A body that is elsewhere while the distance sensor agrees has moved against the conveyor: the
-    conveyor's speed and class are right.
+    conveyor's speed and class are right. So they are if the distance sensor steps: that is an
+    offset, and the object has not moved.
     """
     P = state.P.copy()
-    P[Y, Y] += nu * nu
     P[OFFSET, OFFSET] += nu * nu
     if source is not Source.DISTANCE and not state.rejected.get(Source.DISTANCE):
+        P[Y, Y] += nu * nu
         P[Y, OFFSET] -= nu * nu
         P[OFFSET, Y] -= nu * nu
         return replace(state, P=P, rejected={})
+    if source is Source.DISTANCE and _has_stepped(model, state, nu, rejections - 1):
+        return replace(clear_banks(state), P=P, rejected={})
+    P[Y, Y] += nu * nu
     P[V, V] += _speed_variance(model, state)
     # A ripple that was estimated by a wrong filter would be predicted for seconds.
     state = reset_ripple(model, clear_banks(replace(state, P=P)))
     return replace(state, age=0.0, rejected={})
+
+
+def _has_stepped(model: BankModel, state: BankState, nu: float, count: int) -> bool:
+    """Return whether the distance sensor stepped, and its rejected readings run on as before.
+
+    No conveyor goes so far from one reading to the next, not even one that stops at once.
+
+    Args:
+        nu: innovation of the newest reading [m].
+        count: readings rejected before it.
+    """
+    ages, values = state.readings
+    rate = _reading_rate(state)
+    if rate is None or not AROUND <= count <= len(ages) - AROUND:
+        return False
+    speed = float(state.x[V])
+    way = values + speed * ages
+    first = len(way) - count
+    step = float(np.median(way[first : first + AROUND]) - np.median(way[first - AROUND : first]))
+    stopped = abs(speed) * float(ages[first - 1] - ages[first])
+    runs_on = abs(rate[0] - speed) < STEP_SIGMAS * model.distance_deviation / math.sqrt(rate[1])
+    return runs_on and max(abs(step - nu), stopped) < STEP_SHARE * abs(nu)
 
 
 def _speed_variance(model: BankModel, state: BankState) -> float:
