@@ -95,12 +95,14 @@ def advance(
     if guide is None or (is_wrong and float(state.P[V, V]) < KNOWN**2):
         felt = UNFELT if guide is None else felt_drift.moved(guide.felt)
         return replace(state, guide=replace(synchronised(state), felt=felt))
-    led, missed, felt = _predicted(model, state, guide, dt), guide.missed, guide.felt
+    predicted, missed, felt = _predicted(model, state, guide, dt), guide.missed, guide.felt
+    led = predicted
     for measurement in measurements:
         corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
-            felt = felt_drift.observed(felt, off, before.felt_s + dt)
+            correction = _deflection(model, predicted, measurement) - off
+            felt = felt_drift.observed(felt, off, before.felt_s + dt, correction)
             if not _is_pushed(state, off):
                 corrected, felt = _drawn(corrected, felt)
         if measurement.source is Source.DISTANCE:
