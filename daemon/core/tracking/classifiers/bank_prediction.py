@@ -95,6 +95,9 @@ def _with_announcement(model: BankModel, state: BankState) -> BankState:
     odds = stop_input.onset_odds(model.conveyor.stop_input, state.announced_s, state.changes.age)
     if odds is None:
         return state
+    # The penalty is for a stop that no line announces.
+    penalty = model.bank.contact_penalty if state.is_keen else model.bank.penalty
+    odds = np.where(odds, odds + penalty, 0.0)
     change = onset_bank.posterior(state.changes, model.change_prior, odds)
     gained, distance_odds = change.odds - state.change.odds, state.distance_odds
     return replace(
