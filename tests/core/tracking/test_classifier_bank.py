@@ -611,6 +611,29 @@ def test_a_conveyor_that_has_stood_keeps_its_learnt_ripple_frequency() -> None:
     assert state.P[FREQUENCY, FREQUENCY] < RippleSettings().spread ** 2
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_stop_in_a_start_that_followed_a_stop_is_confirmed_by_its_own_readings(seed: int) -> None:
+    """The braking before the start was taken for a steady motion, and denied the stop: 248 N."""
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    stops_s = 5.8
+    times = np.arange(0.0, stops_s + 0.3, 1e-3)
+    ramps = ((times > 5.0) & (times < 5.218), (times >= 5.218) & (times < stops_s))
+    accelerations = -0.218 * ramps[0] + 0.062 * ramps[1] - 0.104 * (times >= stops_s)
+    way = np.cumsum(NOMINAL + np.cumsum(accelerations) * 1e-3) * 1e-3
+    rng, state, stopped_s = np.random.default_rng(seed), bank.initial(0.0), math.inf
+    for t in np.arange(T0, stops_s + 0.25, T0):
+        seen, felt = np.interp((t - 0.006, t - 0.011), times, way)
+        read = round((float(seen) + rng.normal(0.0, 2.5e-4)) * 1e3) / 1e3
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.006, DEVIATION**2, 4.0)]
+        if t > 5.1:
+            held = float(felt) + rng.normal(0.0, 3e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, held, 0.011, 4e-5**2, 20.0))
+        state = bank.advance(state, rows, T0)
+        if t > stops_s and ("stop", "confirmed") in state.events:
+            stopped_s = min(stopped_s, float(t))
+    assert stopped_s - stops_s < 0.16
+
+
 def widened_after(
     reading: Callable[[float], float], seconds: float = 0.6, *, touch: bool = False
 ) -> float | None:

@@ -105,6 +105,7 @@ class BankState(Struct, frozen=True, eq=False):
         sway_omega: its frequency [rad/s], 0 before it is found.
         age: of the estimate [s].
         class_age: time since the class began to act [s].
+        within_ramp: it began on a ramp: before it there was no steady motion.
         rejected: measurements rejected in a row, by sensor.
         change, impulse: posteriors of the two banks after the last step.
         change_odds: log odds of a change against no change and against an impulse.
@@ -140,6 +141,7 @@ class BankState(Struct, frozen=True, eq=False):
     sway_omega: float = 0.0
     age: float = 0.0
     class_age: float = 0.0
+    within_ramp: bool = False
     rejected: Mapping[Source, int] = {}
     change: OnsetPosterior = NO_POSTERIOR
     impulse: OnsetPosterior = NO_POSTERIOR

@@ -105,6 +105,8 @@ class BankClassifier(BankModel):
         changed = self._by_distance(state, state.complied, dt)
         state = _bound_tentative(changed or self._decide(state), before, dt)
         state = self._settle(self._check_start(before, state, measurements, dt), dt)
+        if state.motion is not before.motion:
+            state = replace(state, within_ramp=before.motion in RAMPS)
         state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
 
@@ -417,6 +419,8 @@ class BankClassifier(BankModel):
         deviation, speed = RUNNING_DEVIATION, state.cruise
         if state.motion in RAMPS:
             ramp = Ramp(state.class_age, self._ramp(state))
+            if state.within_ramp:
+                readings = distance_check.since(readings, state.class_age)
         elif state.motion is Motion.STANDING:
             # The stop before is no steady motion, and what is left of its speed dies out.
             speed = 0.0
