@@ -116,9 +116,16 @@ def chosen(text: str | None, world: str = OWN) -> tuple[str, ...]:
         begin = name.removesuffix("*")
         matches = [row for row in every if row == name or (begin != name and row.startswith(begin))]
         if not matches:
-            raise SetupError(f"no row {name!r}{near_names(name, every)}")
+            raise SetupError(f"no row {name!r}{_elsewhere(name, world) or near_names(name, every)}")
         names += matches
     return tuple(dict.fromkeys(names))
+
+
+def _elsewhere(name: str, world: str) -> str:
+    """Return in which other world a row is, empty if in none."""
+    if world == OWN:
+        return "; it is of --world mujoco" if name in MUJOCO_ROWS else ""
+    return "; it is not of --world mujoco" if name in known() else ""
 
 
 def _is_drawn(name: str) -> bool:

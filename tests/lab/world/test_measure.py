@@ -56,3 +56,10 @@ def test_rows_are_chosen_by_name_or_beginning() -> None:
     assert {*measure.known()} - {*measure.chosen(None)} == {*measure.DRAWN}
     with pytest.raises(SetupError, match="no row 'camera'"):
         measure.chosen("camera")
+
+
+def test_a_row_of_the_other_world_is_refused_with_that_world() -> None:
+    with pytest.raises(SetupError, match="it is of --world mujoco"):
+        measure.chosen("mujoco")
+    with pytest.raises(SetupError, match="it is not of --world mujoco"):
+        measure.chosen("plant-floor", "mujoco")
