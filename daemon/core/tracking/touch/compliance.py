@@ -162,67 +162,81 @@ def advance(
     """
     cycles = _cycles(state, model)
     dt = cycles * model.dt
-    if state.press is None:
-        state = replace(state, press=force, mean=force)
-    press = _toward(state.press or force, force, dt / SLOW_S)
-    mean = _toward(state.mean, force, dt / QUICK_S)
-    swung = _minus(force, mean)
-    power, past, age, energy, soft = 0.0, state.past, state.age, 0.0, False
-    firm, driven = state.firmness, state.driven
+    is_first = state.press is None
+    press = force if state.press is None else _toward(state.press, force, dt / SLOW_S)
+    mean = force if is_first else _toward(state.mean, force, dt / QUICK_S)
+    felt = replace(state, press=press, mean=mean, power=0.0, energy=0.0, soft=False, waited=0)
     if touching > SEATED_S:
-        power = state.power + dt / MEMORY_S * (_dot(swung, swung) - state.power)
-        age += dt
-        if age >= GRAIN_S:
-            past, age = (*past, power)[-PAST:], 0.0
-        has_swung = state.soft or firm.has_swung
-        soft = has_swung and is_growing(power, past, was=state.soft)
-        is_calm = power < QUIET_N**2
+        swung = _minus(force, mean)
         quick_s = 2.0 * max(model.delays) * model.dt
-        firm = firmness.advance(
-            firm,
-            swung,
-            dt,
-            is_calm=is_calm and is_at_rest,
-            gives_way=soft or is_pushed,
-            quick_s=quick_s,
-        )
-        # One that grows on nonetheless was damped by being followed: it is followed again.
-        driven = driven or (firm.quick_s > 2.0 * quick_s and is_driven(past))
-        driven = driven and power < LARGEST_N**2
-        if not is_at_rest:
-            firm = firmness.without_proof(firm)
+        felt = _swinging(state, felt, swung, dt, quick_s, is_pushed, is_at_rest=is_at_rest)
         moved = _delayed(state.moves, model.delays, cycles)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
-        energy = max(given, 0.0)
-    is_slow = soft or driven
+        felt = replace(felt, energy=max(given, 0.0))
+    led = _led(felt, off, touching, dt)
+    still = (_ZERO,) * (cycles - 1)
+    moves = (*state.moves, *still, _minus(led.offset, state.offset))[-max(model.delays) :]
+    softened = state.softened + dt if led.soft else 0.0
+    return replace(led, moves=moves, softened=softened)
+
+
+def _swinging(
+    before: Compliance,
+    state: Compliance,
+    swung: Vector3,
+    dt: float,
+    quick_s: float,
+    is_pushed: bool,
+    *,
+    is_at_rest: bool,
+) -> Compliance:
+    """Return the state with what the force's oscillation shows of the object.
+
+    Args:
+        before: a step ago; ``state`` has the newest means already.
+        swung: force off its mean [N].
+        quick_s: half a period of an oscillation which the offset's delay can drive [s].
+    """
+    power = before.power + dt / MEMORY_S * (_dot(swung, swung) - before.power)
+    past, age = before.past, before.age + dt
+    if age >= GRAIN_S:
+        past, age = (*past, power)[-PAST:], 0.0
+    firm = before.firmness
+    soft = (before.soft or firm.has_swung) and is_growing(power, past, was=before.soft)
+    firm = firmness.advance(
+        firm,
+        swung,
+        dt,
+        is_calm=power < QUIET_N**2 and is_at_rest,
+        gives_way=soft or is_pushed,
+        quick_s=quick_s,
+    )
+    driven = before.driven or (firm.quick_s > 2.0 * quick_s and is_driven(past))
+    return replace(
+        state,
+        power=power,
+        past=past,
+        age=age,
+        soft=soft,
+        # One that grows on nonetheless was damped by being followed: it is followed again.
+        driven=driven and power < LARGEST_N**2,
+        firmness=firm if is_at_rest else firmness.without_proof(firm),
+    )
+
+
+def _led(state: Compliance, off: Vector3, touching: float, dt: float) -> Compliance:
+    """Return the state with the offset that the deviation leads on."""
+    is_slow = state.soft or state.driven
     smoothing_s = SLOW_SMOOTHING_S if is_slow else SMOOTHING_S
     smooth = _toward(state.smooth, _minus(off, state.offset), dt / smoothing_s)
     rate = SLOW_RATE if is_slow else RATE + SEATING_RATE * math.exp(-touching / SEATING_S)
     length = math.hypot(*smooth)
-    is_stopped = firm.is_firm or (soft and not driven and state.softened < SOFTENED_S)
+    is_stopped = state.is_firm or (state.soft and not state.driven and state.softened < SOFTENED_S)
     moves_on = length > DEAD_BAND and not is_stopped
     share = 1.0 - DEAD_BAND / length if moves_on else 0.0
-    step = rate * dt * share * max(1.0 - energy / ENERGY_J, 0.0)
+    step = rate * dt * share * max(1.0 - state.energy / ENERGY_J, 0.0)
     x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
-    offset = _bounded((x, y, z))
-    still = (_ZERO,) * (cycles - 1)
-    moves = (*state.moves, *still, _minus(offset, state.offset))[-max(model.delays) :]
-    softened = state.softened + dt if soft else 0.0
-    return Compliance(
-        offset=offset,
-        smooth=smooth,
-        press=press,
-        mean=mean,
-        power=power,
-        past=past,
-        age=age,
-        moves=moves,
-        energy=energy,
-        soft=soft,
-        driven=driven,
-        softened=softened,
-        firmness=firm,
-    )
+    return replace(state, smooth=smooth, offset=_bounded((x, y, z)))
 
 
 def waiting(state: Compliance) -> Compliance:
