@@ -13,6 +13,7 @@ Has = Callable[[str], bool]
 
 FLOOR, HARSH = "plant-floor", "plant-floor-harsh"
 MEASURED = "plant-floor-measured"
+MUJOCO = "mujoco"
 SCENARIOS = f"{FLOOR},{HARSH}"
 
 COMMANDS = {
@@ -22,6 +23,7 @@ COMMANDS = {
     "plant-floor-verified": f"linemate-sim world --rows {SCENARIOS} --seeds 1000..1099 --json",
     MEASURED: f"linemate-sim world --rows {MEASURED} --seeds 0..39 --json",
     "plant-floor-4ms": f"linemate-sim world --rows {FLOOR} --seeds 0..39 --cycle-ms 4 --json",
+    MUJOCO: f"linemate-sim world --world mujoco --rows {MUJOCO} --seeds 0..39 --json",
 }
 
 NOT_MEASURED = "Not measured yet: `make results NAME=plant-floor`."
@@ -214,6 +216,20 @@ def floor(load: Load, has: Has) -> str:
         lines.append(f"| {label} | {bar} | " + " | ".join(cells) + " |")
     alarms = (str(summary["false_confirmed"]) for summary in summaries)
     return "\n".join([*lines, "| false confirmed alarms | 0 | " + " | ".join(alarms) + " |"])
+
+
+def second(load: Load) -> str:
+    """Return the table of the MuJoCo station against what is asked of it."""
+    summary = load(MUJOCO)[MUJOCO]["summary"]
+    lines = [
+        f"| figure | asked | [measured](results/{MUJOCO}.json) |",
+        "|---|---|---|",
+        f"| runs | 100 % assembled | {outcomes(summary)} |",
+    ]
+    bars = {"impact_mm": "0.5"}
+    for key, label, _ in BARS:
+        lines.append(f"| {label} | {bars.get(key, '')} | {_spread(summary[key])} |")
+    return "\n".join([*lines, f"| false confirmed alarms | | {summary['false_confirmed']} |"])
 
 
 def readme(load: Load, has: Has) -> list[tuple[str, str, str]]:

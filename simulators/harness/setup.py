@@ -30,6 +30,7 @@ from linemate.simulators.harness.cell.cell_files import CellFiles
 from linemate.simulators.harness.cell.cell_truth import shipped_task
 from linemate.simulators.harness.cell.variants import SetupError
 from linemate.simulators.harness.world import world_rows
+from linemate.simulators.mujoco_world import mujoco_cell
 from linemate.simulators.mujoco_world.mujoco_cell import MujocoCell
 from linemate.simulators.plants.scenario import Scenario
 
@@ -108,7 +109,8 @@ def make(
             that is unique; a value is YAML.
         variant: applied before the overrides, which have the last word.
         cycle_ms: instead of the scenario's cycle.
-        world: one of ``worlds.WORLDS``; the daemon has what was identified of that station.
+        world: one of ``worlds.WORLDS``; the daemon has what was identified of that station. A
+            scenario that is too short for an assembly there is longer.
         controller: one of ``families.FAMILIES``; with its period unless one is given. None: that
             of the cell.
         cell: files of another cell than the shipped one.
@@ -123,6 +125,7 @@ def make(
     if world != OWN:
         _refuse_cell(cell, world)
         _refuse_unused(truth, overrides)
+        truth = replace(truth, duration_s=max(truth.duration_s, mujoco_cell.SHORTEST_RUN_S))
     behind = families.truth(controller, truth)
     if cell is not None:
         known = _of_cell(cell)
