@@ -66,6 +66,7 @@ _PARTS = {
     "tracking.sway:SwayBank": "tracking.classifiers.sway_bank:SwayBank",
     "tracking.sway:UnitEstimate": "tracking.classifiers.unit_estimate:UnitEstimate",
     "tracking.tare:Tare": "tracking.touch.tare:Tare",
+    "tracking.tare:Turning": "tracking.touch.tare:Turning",
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
     "tracking.transverse:TransverseState": "tracking.transverse:TransverseState",

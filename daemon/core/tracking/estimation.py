@@ -192,8 +192,9 @@ def _weighed(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Track
     # The force that brakes the tool on its way is no weight.
     inertia = tracker.vibration.mass * state.acceleration[2]
     still = replace(raw, force=raw.force + np.array((0.0, 0.0, inertia)))
+    nominal = gravity(tracker, np.zeros(6))
     later = tare.updated(
-        state.tare, still, down, settings.payload, settings.tactile, tracker.cycle_s
+        state.tare, still, down, nominal, settings.payload, settings.tactile, tracker.cycle_s
     )
     return replace(state, tare=later)
 

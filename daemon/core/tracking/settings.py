@@ -136,7 +136,8 @@ class PayloadSettings:
 
     Attributes:
         mass: on the mount [kg]. 0: the mean force before contact counts as weight if it is along
-            gravity and larger than a bias. 0 as well if the tcp was measured with it on the mount.
+            gravity and larger than a bias. 0 as well if the tcp was measured with it on the mount,
+            in the nominal orientation.
         centre: its centre of gravity in the tcp [m].
         part_mass: what the object keeps of it [kg]. Once the screws are fixed the object takes
             that weight over, before the clamp opens. 0: not known.

@@ -20,7 +20,7 @@ def wrench(x: float, y: float = 0.0, my: float = 0.0) -> Wrench:
 def hung(free: Wrench, payload: PayloadSettings = NO_PAYLOAD) -> Tare:
     state = NO_TARE
     for _ in range(300):
-        state = tare.updated(state, free, DOWN, payload, MOUNT, DT)
+        state = tare.updated(state, free, DOWN, DOWN, payload, MOUNT, DT)
     return state
 
 
@@ -40,13 +40,44 @@ def test_a_force_along_gravity_is_a_weight_and_bends_the_mount() -> None:
 @pytest.mark.parametrize("broken", [-np.inf, np.inf, np.nan, 1e6])
 def test_a_wrench_that_no_free_tool_has_changes_no_tare(broken: float) -> None:
     state = hung(wrench(WEIGHT))
-    assert tare.updated(state, wrench(broken), DOWN, NO_PAYLOAD, MOUNT, DT) is state
-    assert tare.updated(state, wrench(WEIGHT, my=broken), DOWN, NO_PAYLOAD, MOUNT, DT) is state
+    assert tare.updated(state, wrench(broken), DOWN, DOWN, NO_PAYLOAD, MOUNT, DT) is state
+    assert tare.updated(state, wrench(WEIGHT, my=broken), DOWN, DOWN, NO_PAYLOAD, MOUNT, DT) is state
 
 
 @pytest.mark.parametrize("free", [wrench(10.0), wrench(0.0, 60.0), wrench(-60.0)])
 def test_a_bias_is_no_weight(free: Wrench) -> None:
     assert hung(free).sag is None
+
+
+def turned(weight: float, bias: float, angle: float, noise: float = 0.0) -> Tare:
+    """A tool that hangs in the nominal orientation for 1 s, turns within 1 s, and hangs for 2 s."""
+    state, generator = NO_TARE, np.random.default_rng(0)
+    for step in range(333):
+        at = angle * min(max(step * DT - 1.0, 0.0), 1.0)
+        down = np.array((np.cos(at), np.sin(at), 0.0))
+        force = weight * (down - DOWN) + bias + noise * generator.normal(size=3)
+        free = Wrench(force, np.zeros(3), 0, 3)
+        state = tare.updated(state, free, down, DOWN, NO_PAYLOAD, MOUNT, DT)
+    return state
+
+
+@pytest.mark.parametrize("bias", [0.0, -20.0, 9.0])
+def test_a_tool_zeroed_with_its_part_hangs_otherwise_when_turned(bias: float) -> None:
+    sag = turned(WEIGHT, bias, 0.06, noise=5.0).sag
+    assert sag is not None
+    assert sag[1] == pytest.approx(WEIGHT * np.sin(0.06) / 50e3, rel=0.1)
+    assert abs(sag[2]) < 1e-6
+
+
+@pytest.mark.parametrize(("weight", "angle"), [(-WEIGHT, 0.06), (0.0, 0.06), (WEIGHT, 0.0)])
+def test_no_weight_turns_without_a_turn_or_with_a_wrong_sign(weight: float, angle: float) -> None:
+    assert turned(weight, 9.0, angle, noise=5.0).sag is None
+
+
+def test_a_weight_that_turned_is_no_more_than_the_mount_bears() -> None:
+    sag = turned(100.0 * WEIGHT, 0.0, 0.002).sag
+    assert sag is not None
+    assert sag[1] == pytest.approx(MOUNT.overload_force * np.sin(0.002) / 50e3)
 
 
 def test_a_configured_payload_tells_weight_from_bias() -> None:

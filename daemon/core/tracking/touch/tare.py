@@ -6,6 +6,8 @@ weight bends the mount as well: the elastic tcp is the rigid one and the sag.
 Invariants:
 - The tare is taken in the approach only, and frozen before the tool can touch.
 - Without a configured payload a wrench that is no bias is a weight: it is along gravity and large.
+- A tool that was zeroed and measured with its part on hangs otherwise as soon as it is turned. By
+  what its force changes as gravity turns in it the weight is estimated, whatever the bias.
 - What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
   the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
   A weight that the sensor shows counts there, if it is clearly more than the configured one.
@@ -43,7 +45,30 @@ HANDING_S = 2.0  # in which it takes over a part of known weight: a soft carrier
 HANDED = 0.8  # share of the overload that it takes over at most
 LARGEST_SPRING = 0.004  # sag with which the clamp may open: the tool springs up by twice that [m]
 RELEASED_S = 0.5  # time constant with which a released wheel's sag leaves the target [s]
+TURNED_N = 5.0  # sigma of a moving tool's mean force: it accelerates [N]
+USUAL_N = 300.0  # sigma of a weight before the tool has turned [N]
 SPRUNG_S = 1.0  # over which the reading of the empty tool is averaged: several swings of 4 Hz [s]
+
+
+class Turning(Struct, frozen=True):
+    """What a free tool's force and the direction of gravity in it have in common, in the tcp.
+
+    Attributes:
+        count: of the means over ``MEAN_S`` that have entered.
+        force: mean of the force [N].
+        turn: mean of gravity's direction off that of the nominal orientation.
+        product: sum of the products of their deviations from these means [N].
+        square: sum of the squared deviations of the direction.
+    """
+
+    count: float = 0.0
+    force: Vector3 = (0.0, 0.0, 0.0)
+    turn: Vector3 = (0.0, 0.0, 0.0)
+    product: float = 0.0
+    square: float = 0.0
+
+
+UNTURNED = Turning()
 
 
 class Tare(Struct, frozen=True, eq=False):
@@ -57,6 +82,7 @@ class Tare(Struct, frozen=True, eq=False):
         borne: share of the weight that the mount still carries; the motion is late.
         part: (6,) deflection of the mount by the part that the object keeps [m, rad], None if its
             weight is not known. ``share`` and ``borne`` are of that, then.
+        turning: of the tool in its approach.
         empty: (3,) mean force of the tool since it released the wheel [N], None before.
         emptied: time since then [s].
     """
@@ -69,6 +95,7 @@ class Tare(Struct, frozen=True, eq=False):
     empty: Array | None = None
     emptied: float = 0.0
     part: Array | None = None
+    turning: Turning = UNTURNED
 
 
 NO_TARE = Tare()
@@ -90,6 +117,7 @@ def updated(
     tare: Tare,
     wrench: Wrench,
     down: Vector3,
+    nominal: Vector3,
     payload: PayloadSettings,
     mount: TactileNoise,
     dt: float,
@@ -99,6 +127,7 @@ def updated(
     Args:
         wrench: raw, of this step.
         down: unit vector of gravity in the tcp.
+        nominal: the same in the nominal orientation, in which the tcp was measured.
     """
     raw = (*wrench.force.tolist(), *wrench.torque.tolist())
     stiffness = (*mount.stiffness, *mount.rotational_stiffness)
@@ -108,7 +137,50 @@ def updated(
     mean = np.array(raw)
     if tare.wrench is not None:
         mean = tare.wrench + (dt / MEAN_S) * (mean - tare.wrench)
-    return Tare(mean, _sag(mean, down, payload, stiffness), part=_part(down, payload, mount))
+    x, y, z = (a - b for a, b in zip(down, nominal, strict=True))
+    turning = turned(tare.turning, (raw[0], raw[1], raw[2]), (x, y, z), dt / MEAN_S)
+    sag = _sag(mean, down, payload, stiffness)
+    if sag is None:
+        weight = min(turned_weight(turning), mount.overload_force)
+        sag = _turned_sag(weight, (x, y, z), stiffness)
+    return Tare(mean, sag, part=_part(down, payload, mount), turning=turning)
+
+
+def turned(before: Turning, force: Vector3, turn: Vector3, share: float) -> Turning:
+    """Return the moments of force and direction with one more sample.
+
+    Args:
+        force: on the free tool [N].
+        turn: gravity's direction off that of the nominal orientation.
+        share: of a mean over ``MEAN_S`` that the sample is.
+    """
+    count = before.count + share
+    gain = share / count
+    more = [a - b for a, b in zip(force, before.force, strict=True)]
+    way = [a - b for a, b in zip(turn, before.turn, strict=True)]
+    a, b, c = (mean + gain * each for mean, each in zip(before.force, more, strict=True))
+    x, y, z = (mean + gain * each for mean, each in zip(before.turn, way, strict=True))
+    left = share * (1.0 - gain)
+    product = before.product + left * sum(p * q for p, q in zip(more, way, strict=True))
+    square = before.square + left * sum(q * q for q in way)
+    return Turning(count, (a, b, c), (x, y, z), product, square)
+
+
+def turned_weight(turning: Turning) -> float:
+    """Return the weight that turns with the tool [N]; 0 for less than a sensor's bias.
+
+    Least squares of ``F = b + m g d`` over the approach, with a prior of the weight alone.
+    """
+    weight = turning.product / (turning.square + (TURNED_N / USUAL_N) ** 2)
+    return weight if weight > WEIGHT_N else 0.0
+
+
+def _turned_sag(weight: float, turn: Vector3, stiffness: Sequence[float]) -> Array | None:
+    """Return the deflection (6,) by a weight whose direction turned [m, rad], None without it."""
+    if weight == 0.0:
+        return None
+    bent = [weight * each / k for each, k in zip(turn, stiffness[:3], strict=True)]
+    return np.array((*bent, 0.0, 0.0, 0.0))
 
 
 def _part(down: Vector3, payload: PayloadSettings, mount: TactileNoise) -> Array | None:
