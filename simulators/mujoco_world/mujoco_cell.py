@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-SHORTEST_RUN_S = 30.0
+SHORTEST_RUN_S = 36.0
 """The bolts are met at 10 mm/s, and a start in that time makes the tool look once more."""
 
 Three = tuple[float, float, float]
