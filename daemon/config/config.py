@@ -139,6 +139,8 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     _refuse_wider_limits(document, config, task)
     _refuse_unseen_overload(document, config)
     _refuse_unbearable_payload(document, config)
+    _refuse_unbearable_touch(document, config)
+    _refuse_unmounted_camera(config, task)
     return LoadedConfig(
         path,
         config,
@@ -244,6 +246,48 @@ def _refuse_unbearable_payload(document: YamlDocument, config: Config) -> None:
     ]
     if complaints:
         raise FileError(document.lines(complaints))
+
+
+def _refuse_unbearable_touch(document: YamlDocument, config: Config) -> None:
+    """Refuse an overload that no mount withstands, and a touch that is felt as late as half of it.
+
+    The touch speed leaves half the overload to what follows until the tool reacts to the touch.
+
+    Raises:
+        FileError: each of them.
+    """
+    tactile = config.tracking.tactile
+    overload, stiffness = tactile.overload_force, max(tactile.stiffness)
+    complaints = []
+    if overload > LARGEST_SAG * stiffness:
+        what = (
+            f"{overload:g} N bend the mount by {1e3 * overload / stiffness:.0f} mm at "
+            f"{stiffness:g} N/m, {1e3 * LARGEST_SAG:g} mm at most. Check it, and "
+            "tracking.tactile.stiffness."
+        )
+        complaints.append(Complaint(("tracking", "tactile", "overload_force"), what))
+    if tactile.contact_force > 0.5 * overload:
+        what = (
+            f"a touch is felt from {tactile.contact_force:g} N on, at most half the overload of "
+            f"{overload:g} N: the tool needs the other half to react. Set a smaller one."
+        )
+        complaints.append(Complaint(("tracking", "tactile", "contact_force"), what))
+    if complaints:
+        raise FileError(document.lines(complaints))
+
+
+def _refuse_unmounted_camera(config: Config, task: Task) -> None:
+    """Refuse a camera whose place is left out: at the tcp, where the tool touches the object.
+
+    Raises:
+        FileError: the task has none.
+    """
+    if config.camera is not None and not any(task.file.arm.camera_in_tcp.position):
+        what = (
+            "missing: the camera would be at the tcp, where the tool touches the object. Measure "
+            "its place, with `linemate commission --step camera` or from the drawing."
+        )
+        raise FileError(task.lines([Complaint(("arm", "camera_in_tcp"), what)]))
 
 
 def schema() -> dict[str, Any]:

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core.tracking.task import Gate, TaskFile
+from linemate.daemon.near_names import near_names
 from linemate.protocol.numeric_peer import parse_peer
 
 T = TypeVar("T")
@@ -38,6 +39,13 @@ _DIRECTORIES: tuple[tuple[str, ...], ...] = (
     ("state",),
 )
 _LOOPBACK = "127.0.0.1"
+_USUAL_BUSES = {
+    "slcan": "/dev/serial/by-id/usb-...",
+    "socketcan": "can0",
+    "udp_multicast": "239.74.163.2",
+    "virtual": "0",
+}
+"""Interfaces of python-can that need no import to be known, each with a channel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +91,8 @@ def complaints(
     if values.has("distance"):
         can: dict[str, Any] = values.get("distance", "can", kind=dict) or {}
         yield from _complaint(("distance", "can"), _check_can, can)
+        url = values.get("force_torque", "url", kind=str)
+        yield from _complaint(("force_torque", "url"), _check_own_device, url, can)
     for path in _ADDRESSES:
         address = values.get(*path, kind=str)
         if address is not None:
@@ -143,8 +153,26 @@ def _check_can(can: dict[str, Any]) -> None:
     interface = can.get("interface")
     if interface is None or isinstance(interface, (bool, int, float)):
         raise ValueError("needs an interface: slcan, socketcan, ...")
+    if interface not in _USUAL_BUSES:
+        from can.interfaces import VALID_INTERFACES  # 0.2 s, for a name that is seldom or wrong
+
+        if interface not in VALID_INTERFACES:
+            near = near_names(str(interface), VALID_INTERFACES)
+            raise ValueError(f"python-can has no interface {interface!r}{near}")
+    if interface in {"slcan", "socketcan"} and not can.get("channel"):
+        raise ValueError(f"{interface} needs a channel, such as {_USUAL_BUSES[interface]}")
     if interface == "udp_multicast" and can.get("hop_limit") != 0:
         raise ValueError("udp_multicast needs hop_limit: 0, else frames leave this host")
+
+
+def _check_own_device(url: str | None, can: dict[str, Any]) -> None:
+    """Refuse one serial device for both sensors: names may be links to the same one."""
+    channel = can.get("channel")
+    if url is None or not isinstance(channel, str):
+        return
+    devices = [os.path.realpath(name.partition("@")[0]) for name in (url, channel)]
+    if url.startswith("/") and devices[0] == devices[1]:
+        raise ValueError(f"{url} is distance.can.channel's already. Give each sensor its device.")
 
 
 def _check_consent(bind: str) -> None:

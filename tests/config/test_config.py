@@ -8,7 +8,7 @@ import pytest
 
 from linemate.daemon.config import config
 from linemate.daemon.config.documents import FileError
-from linemate.daemon.config.files import PROTOCOL_DATA
+from linemate.daemon.config.files import DAEMON_DATA, PROTOCOL_DATA
 from linemate.daemon.config.section_checks import group_ids
 from linemate.daemon.config.settings import CameraSettings, Corrections
 from linemate.daemon.core.tracking.settings import TrackingSettings
@@ -45,6 +45,32 @@ def test_the_shortest_file_names_a_task_and_takes_every_default(write: Write) ->
     assert station.config.control == shipped_control()
     assert station.dbc is None
     assert set(station.texts) == {"config", "task", "urdf", "rsi"}
+
+
+def test_a_touch_is_felt_with_half_the_overload_at_most(write: Write) -> None:
+    text = "task: wheel.yaml\ntracking: {{tactile: {{contact_force: {}, overload_force: 120}}}}\n"
+    (line,) = errors(write(text.format(61.0)))
+    assert line.startswith("2:37: tracking.tactile.contact_force: a touch is felt from 61 N on")
+    assert "at most half the overload of 120 N" in line
+    assert config.load(write(text.format(60.0)))
+
+
+def test_an_overload_that_bends_the_mount_by_more_than_any_tool_is_refused(write: Write) -> None:
+    (line,) = errors(write("task: wheel.yaml\ntracking: {tactile: {overload_force: 6000}}\n"))
+    assert "overload_force: 6000 N bend the mount by 120 mm at 50000 N/m, 100 mm at most" in line
+
+
+def test_a_camera_whose_mount_is_left_out_is_refused(write: Write, tmp_path: Path) -> None:
+    text = (DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8")
+    line = next(line for line in text.splitlines() if "camera_in_tcp" in line)
+    (tmp_path / "task.yaml").write_text(text.replace(line, ""), encoding="utf-8")
+    (refused,) = errors(write("task: task.yaml\ncamera: {}\n"))
+    assert "arm.camera_in_tcp: missing: the camera would be at the tcp" in refused
+    assert config.load(write("task: task.yaml\n"))
+
+
+def test_an_empty_text_is_refused_in_plain_words(write: Write) -> None:
+    assert "1:7: task: should not be empty" in errors(write('task: ""\n'))
 
 
 def test_every_section_can_be_given(write: Write, tmp_path: Path) -> None:
@@ -203,7 +229,7 @@ def test_what_a_dbc_lacks_is_reported_at_the_key_that_names_it(
     write: Write, tmp_path: Path
 ) -> None:
     (tmp_path / "bad.dbc").write_text("BO_ nonsense\n")
-    text = "task: wheel.yaml\ndistance: {{can: {{interface: slcan}}, {}}}\n"
+    text = "task: wheel.yaml\ndistance: {{can: {{interface: slcan, channel: tty}}, {}}}\n"
     for named, key in (
         ("dbc: bad.dbc", "dbc"),
         ("message: Nope", "message"),

@@ -1,10 +1,15 @@
-"""Which gates wait for a signal, and what to set instead."""
+"""Links that cannot be opened, and gates that wait for a signal."""
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
 
 from linemate.daemon.config import task_file
+from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.files import DAEMON_DATA
-from linemate.daemon.config.section_checks import waiting_gates
+from linemate.daemon.config.section_checks import PlainValues, complaints, waiting_gates
 
 WHEEL = task_file.load(DAEMON_DATA / "wheel.yaml").file
 
@@ -19,3 +24,28 @@ def test_the_shipped_task_waits_for_both_signals() -> None:
 def test_a_time_stands_for_a_signal() -> None:
     tool = replace(WHEEL.tool, fixed_after=1.0, released_after=0.5)
     assert list(waiting_gates(replace(WHEEL, tool=tool))) == []
+
+
+def refused(can: dict[str, Any], **sections: Any) -> list[str]:
+    values = PlainValues({"distance": {"can": can}, **sections})
+    return [f"{spelled(c.path)}: {c.what}" for c in complaints(values, Path(), ("rsi", None))]
+
+
+def test_a_bus_has_an_interface_of_python_can_and_the_channel_that_it_needs() -> None:
+    assert refused({"interface": "slcan", "channel": "/dev/ttyACM0"}) == []
+    assert refused({"interface": "kvaser"}) == []
+    (line,) = refused({"interface": "slcna", "channel": "/dev/ttyACM0"})
+    assert line == "distance.can: python-can has no interface 'slcna'; near are slcan, iscan"
+    for channel in ({}, {"channel": ""}):
+        (line,) = refused({"interface": "socketcan", **channel})
+        assert line == "distance.can: socketcan needs a channel, such as can0"
+
+
+@pytest.mark.parametrize("name", ["tty", "link", "tty@115200"])
+def test_two_sensors_do_not_share_a_serial_device(name: str, tmp_path: Path) -> None:
+    (tmp_path / "tty").touch()
+    (tmp_path / "link").symlink_to("tty")
+    can = {"interface": "slcan", "channel": str(tmp_path / name)}
+    (line,) = refused(can, force_torque={"url": str(tmp_path / "tty")})
+    assert line.startswith(f"force_torque.url: {tmp_path / 'tty'} is distance.can.channel's")
+    assert refused(can, force_torque={"url": "/dev/ttyUSB0"}) == []

@@ -78,7 +78,9 @@ def _complaint(error: Mapping[str, Any]) -> Complaint | None:
         return Complaint(path, UNKNOWN_KEY, at_key=True)
     if kind in {"missing", "missing_argument"}:
         return Complaint(path, "missing")
-    what = message.removeprefix("Input ").replace("an object", "a mapping")
+    if kind == "string_too_short" and not error["input"]:
+        return Complaint(path, "should not be empty")
+    what = message.removeprefix("Input ").removeprefix("String ").replace("an object", "a mapping")
     return Complaint(path, what + _shown(error.get("input")))
 
 
