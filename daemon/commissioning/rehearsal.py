@@ -13,6 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linemate.daemon.commissioning.plan.phases import disordered
+from linemate.daemon.commissioning.plan.sight import unseen
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core import rotations, way_home
 from linemate.daemon.core.control.kinematics import UnreachableError
@@ -22,7 +24,7 @@ from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
 from linemate.daemon.core.tracking.classifiers.distance import stop_delay
 from linemate.daemon.core.tracking.reference import Reference
-from linemate.daemon.core.tracking.task import Phase, WayHome
+from linemate.daemon.core.tracking.task import Gate, Phase, WayHome
 from linemate.protocol.stamped_samples import AXES
 
 STEP_S = 0.02
@@ -67,7 +69,16 @@ class Rehearsal:
 
 def rehearse(parameters: Parameters) -> Rehearsal:
     """Run the nominal task through the kinematics."""
-    complaints = [*_pressed(parameters), *_untouched(parameters), *_unseen_stops(parameters)]
+    complaints = [
+        *disordered(parameters.tracker.task),
+        *unseen(parameters),
+        *_pressed(parameters),
+        *_touched_early(parameters),
+        *_untouched(parameters),
+        *_pulled(parameters),
+        *_left_close(parameters),
+        *_unseen_stops(parameters),
+    ]
     start = _start(parameters)
     if isinstance(start, Complaint):
         return Rehearsal((), (start, *complaints))
@@ -225,6 +236,24 @@ def _pressed(parameters: Parameters) -> Iterator[Complaint]:
             yield Complaint(("waypoints", i, "pose", "position"), what)
 
 
+def _touched_early(parameters: Parameters) -> Iterator[Complaint]:
+    """Return a waypoint before the last approach from which the tool would back off to begin it.
+
+    Nothing is guarded there: speed, search and the checks of the object's place begin later.
+    """
+    reference = parameters.tracker.reference
+    last = int(np.searchsorted(reference.times, reference.sight_time))
+    gaps = [0.0 - float(row[2]) for row in reference.poses(reference.times[: last + 1])[1]]
+    for i, gap in enumerate(gaps[:-1]):
+        if gap < gaps[-1]:
+            what = (
+                f"{1e3 * gap:g} mm before the object's surface, nearer than waypoints[{last}] "
+                f"({1e3 * gaps[-1]:g} mm), where the last approach begins. The touch is guarded "
+                "behind that one alone: move it away from the object."
+            )
+            yield Complaint(("waypoints", i, "pose", "position"), what)
+
+
 def _untouched(parameters: Parameters) -> Iterator[Complaint]:
     """Return the waypoint of contact if neither it nor the search behind it presses enough."""
     task, reference = parameters.tracker.task, parameters.tracker.reference
@@ -242,6 +271,40 @@ def _untouched(parameters: Parameters) -> Iterator[Complaint]:
             f"is felt from {mount.contact_force:g} N on. Set the position of its surface."
         )
         yield Complaint(("waypoints", i, "pose", "position"), what)
+
+
+def _pulled(parameters: Parameters) -> Iterator[Complaint]:
+    """Return a waypoint so far back before the clamp opens that the mount would be overloaded."""
+    task, reference = parameters.tracker.task, parameters.tracker.reference
+    tactile, gates = parameters.tracker.settings.tactile, list(reference.gates)
+    phases = [point.phase for point in task.waypoints]
+    if Phase.CONTACT not in phases or Gate.WHEEL_RELEASED not in gates:
+        return
+    contact, release = phases.index(Phase.CONTACT), gates.index(Gate.WHEEL_RELEASED)
+    touched = min(float(reference.points[contact, 2]), 0.0)
+    for i in range(contact + 1, release + 1):
+        back = touched - float(reference.points[i, 2])
+        if reference.travels[i] and back * tactile.stiffness[2] > tactile.overload_force:
+            what = (
+                f"{1e3 * back:g} mm back from the touch pull with "
+                f"{back * tactile.stiffness[2]:.0f} N at a clamp that opens at waypoints[{release}]"
+                f" (wheel_released), overload is {tactile.overload_force:g} N. Check the sign and "
+                "the unit of position z, and the gate's place."
+            )
+            yield Complaint(("waypoints", i, "pose", "position"), what)
+
+
+def _left_close(parameters: Parameters) -> Iterator[Complaint]:
+    """Return the last waypoint of a task with contact if no way home begins there."""
+    tracker = parameters.tracker
+    reference, least = tracker.reference, tracker.task.home.clearance
+    gap = 0.0 - float(reference.poses(reference.times[-1:])[1][0, 2])
+    if reference.contact_time < math.inf and gap < least:
+        what = (
+            f"the task ends {1e3 * gap:g} mm before the object's plane, at least {1e3 * least:g} "
+            "mm are needed to go home (home.clearance). Let a retreat lead away from the object."
+        )
+        yield Complaint(("waypoints", len(reference.times) - 1, "pose", "position"), what)
 
 
 def _unseen_stops(parameters: Parameters) -> Iterator[Complaint]:

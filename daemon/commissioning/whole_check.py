@@ -13,8 +13,10 @@ from linemate.daemon.commissioning.rehearsal import Peak, rehearse
 from linemate.daemon.config import config
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import parameters
+from linemate.daemon.core.control.kinematics import KinematicsError
 from linemate.daemon.core.parameters import Parameters
 
 
@@ -69,6 +71,8 @@ def compile_task(station: LoadedConfig, task: Task) -> Parameters:
         return parameters.build(
             task.file, task.urdf, settings.tracking, settings.control, station.cycle_s
         )
+    except KinematicsError as error:
+        raise FileError(task.lines([Complaint(("arm",), str(error))])) from error
     except ValueError as error:
         raise FileError([f"{station.path}:1:1: (file): {error}"]) from error
 

@@ -101,6 +101,27 @@ def test_a_contact_that_the_search_does_not_reach_is_reported_with_both_ways() -
     assert complaints_of(with_position(3, 0.0, 0.0, -0.01)) == []
 
 
+def test_a_waypoint_nearer_than_the_begin_of_the_last_approach_is_reported() -> None:
+    for depth, gap in ((0.0, "0 mm"), (-0.03, "30 mm")):
+        blind, what = complaints_of(with_position(1, 0.0, 0.0, depth))
+        assert blind.startswith("waypoints[1]: the gate object_seen is")
+        assert what.startswith(f"waypoints[1].pose.position: {gap} before the object's surface")
+        assert "nearer than waypoints[2] (60 mm), where the last approach begins" in what
+
+
+def test_a_pull_at_the_closed_clamp_is_reported_with_its_force() -> None:
+    (what,) = complaints_of(with_position(6, 0.0, 0.0, -0.02))
+    assert what.startswith("waypoints[6].pose.position: 20 mm back from the touch pull with 1000 N")
+    assert complaints_of(with_position(6, 0.0, 0.0, -0.005)) == []
+
+
+def test_a_task_that_ends_at_the_object_is_reported() -> None:
+    points = TASK.file.waypoints
+    (what,) = complaints_of(replace(TASK.file, waypoints=points[:8]))
+    assert what.startswith("waypoints[7].pose.position: the task ends 0 mm before the object's")
+    assert "80 mm are needed to go home (home.clearance)" in what
+
+
 def test_a_search_that_presses_with_less_than_a_touch_is_reported() -> None:
     (what,) = complaints_of(with_position(3, 0.0, 0.0, -0.0118))
     assert "the tool presses with 10 N, a touch is felt from 15 N on" in what

@@ -179,7 +179,8 @@ def _advanced(path: way_home.HomePath, steps: int) -> way_home.HomePath:
 def test_the_first_pose_must_keep_its_distance_to_the_objects() -> None:
     near = replace(TASK.file, home=WayHome(clearance=0.5))
     compiled = build(near, TASK.urdf, TrackingSettings(), ControlSettings(), T0)
-    (complaint,) = rehearse(compiled).complaints
+    complaint, end = rehearse(compiled).complaints
+    assert "the task ends 300 mm before the object's plane, at least 500 mm" in end.what
     assert complaint.path == ("waypoints", 0)
     assert "400 mm" in complaint.what
     assert abs(PLANE - REST[2]) == pytest.approx(0.4, abs=REST_DISTANCE)

@@ -63,7 +63,9 @@ def test_a_line_too_quick_or_a_mating_too_long_for_the_arm_is_refused(
     file = CELL.task.file
     waypoints = tuple(replace(point, time=slower * point.time) for point in file.waypoints)
     conveyor = replace(file.conveyor, nominal_speed=speed)
-    refused = refusals(replace(file, conveyor=conveyor, waypoints=waypoints))[0]
+    times = {name: slower * getattr(file.tool, name) for name in ("fix_screws", "release_wheel")}
+    tool = replace(file.tool, **times)
+    refused = refusals(replace(file, conveyor=conveyor, tool=tool, waypoints=waypoints))[0]
     assert refused.startswith(str(cell_files.DATA / "kr10" / "task.yaml"))
     assert "the arm does not reach the pose at" in refused
     assert "m in base" in refused

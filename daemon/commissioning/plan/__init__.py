@@ -1,0 +1,1 @@
+"""Rules of a task's plan: what each waypoint needs before any robot moves."""
