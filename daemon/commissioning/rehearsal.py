@@ -25,6 +25,7 @@ from linemate.daemon.core.tracking import linear_axis
 from linemate.daemon.core.tracking.classifiers.distance import stop_delay
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Gate, Phase, WayHome
+from linemate.daemon.core.tracking.touch.touch_profile import bolts_reach
 from linemate.protocol.stamped_samples import AXES
 
 STEP_S = 0.02
@@ -237,11 +238,14 @@ def _pressed(parameters: Parameters) -> Iterator[Complaint]:
 
 
 def _touched_early(parameters: Parameters) -> Iterator[Complaint]:
-    """Return a waypoint before the last approach from which the tool would back off to begin it.
+    """Return a waypoint before the last approach that is nearer than where it begins.
 
-    Nothing is guarded there: speed, search and the checks of the object's place begin later.
+    Nothing is guarded there: speed, search and the checks of the object's place begin later. Nor
+    may bolts reach the object there.
     """
     reference = parameters.tracker.reference
+    if reference.contact_time == math.inf:
+        return
     last = int(np.searchsorted(reference.times, reference.sight_time))
     gaps = [0.0 - float(row[2]) for row in reference.poses(reference.times[: last + 1])[1]]
     for i, gap in enumerate(gaps[:-1]):
@@ -252,6 +256,14 @@ def _touched_early(parameters: Parameters) -> Iterator[Complaint]:
                 "behind that one alone: move it away from the object."
             )
             yield Complaint(("waypoints", i, "pose", "position"), what)
+    bolts = parameters.tracker.settings.payload.bolts
+    if gaps[-1] < bolts_reach(bolts) - TOLERANCE:
+        what = (
+            f"the last approach begins {1e3 * gaps[-1]:g} mm before the object's surface, where "
+            f"bolts of {1e3 * bolts:g} mm (tracking.payload.bolts) reach it already. Move this "
+            f"waypoint and those before it out to {1e3 * bolts_reach(bolts):g} mm."
+        )
+        yield Complaint(("waypoints", last, "pose", "position"), what)
 
 
 def _untouched(parameters: Parameters) -> Iterator[Complaint]:

@@ -5,10 +5,13 @@ Invariants:
 - No port is opened and no file is written.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from linemate.daemon.config import documents, files, overlays, task_file
 from linemate.daemon.config.controller_section import ControllerFile, default_port
@@ -26,10 +29,14 @@ from linemate.daemon.config.settings import (
 )
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
+from linemate.daemon.core import rotations
 from linemate.daemon.core.control import urdf_limits
+from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.touch.tare import GRAVITY, LARGEST_SAG
 from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.sensors.wrench import LARGEST_FORCES
+
+LARGEST_SENSOR_REACH = 0.5  # from the flange to a sensor that is farther than the tcp [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +144,11 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
-    _refuse_unseen_overload(document, config)
-    _refuse_unbearable_payload(document, config)
-    _refuse_unbearable_touch(document, config)
+    unbearable = [*mount_complaints(config, config.tracking)]
+    if unbearable:
+        raise FileError(document.lines(unbearable))
     _refuse_unmounted_camera(config, task)
+    _refuse_far_sensor(config, task)
     return LoadedConfig(
         path,
         config,
@@ -206,15 +214,39 @@ def _refuse_wider_limits(document: YamlDocument, config: Config, task: Task) -> 
         raise FileError(document.lines(complaints))
 
 
-def _refuse_unseen_overload(document: YamlDocument, config: Config) -> None:
-    """Refuse an overload that the force-torque sensor cannot state next to the tool's weight.
+def mount_complaints(config: Config, tracking: TrackingSettings) -> Iterator[Complaint]:
+    """Yield forces and masses that the elastic mount or its force-torque sensor cannot have.
 
-    Raises:
-        FileError: it would never be seen.
+    Args:
+        config: with the sensor's device.
+        tracking: the settings to check.
     """
-    if config.force_torque is None:
-        return
-    device, tracking = config.force_torque.device, config.tracking
+    payload, tactile = tracking.payload, tracking.tactile
+    overload, stiffness = tactile.overload_force, max(tactile.stiffness)
+    for section, name, value, force in (
+        ("payload", "mass", f"{payload.mass:g} kg", payload.mass * GRAVITY),
+        ("payload", "part_mass", f"{payload.part_mass:g} kg", payload.part_mass * GRAVITY),
+        ("tactile", "overload_force", f"{overload:g} N", overload),
+    ):
+        if force > LARGEST_SAG * stiffness:
+            what = (
+                f"{value} bend the mount by {1e3 * force / stiffness:.0f} mm at {stiffness:g} N/m, "
+                f"{1e3 * LARGEST_SAG:g} mm at most. Check it, and tracking.tactile.stiffness."
+            )
+            yield Complaint(("tracking", section, name), what)
+    # The touch speed leaves half the overload to what follows until the tool reacts to a touch.
+    if tactile.contact_force > 0.5 * overload:
+        what = (
+            f"a touch is felt from {tactile.contact_force:g} N on, at most half the overload of "
+            f"{overload:g} N: the tool needs the other half to react. Set a smaller one."
+        )
+        yield Complaint(("tracking", "tactile", "contact_force"), what)
+    if config.force_torque is not None:
+        yield from _unseen_overload(config.force_torque.device, tracking)
+
+
+def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Complaint]:
+    """Yield an overload that the force-torque sensor cannot state next to the tool's weight."""
     largest, weight = LARGEST_FORCES[device], tracking.payload.mass * GRAVITY
     overload = tracking.tactile.overload_force
     if overload + weight >= largest:
@@ -222,58 +254,7 @@ def _refuse_unseen_overload(document: YamlDocument, config: Config) -> None:
             f"{overload:g} N and the tool's {weight:.0f} N are beyond what an axis of {device} "
             f"can state, {largest:.0f} N: no overload would be seen. Set a smaller one."
         )
-        path = ("tracking", "tactile", "overload_force")
-        raise FileError(document.lines([Complaint(path, what)]))
-
-
-def _refuse_unbearable_payload(document: YamlDocument, config: Config) -> None:
-    """Refuse a payload that bends the mount by more than any free tool, however it hangs.
-
-    Raises:
-        FileError: the mass or the stiffness has another unit.
-    """
-    payload, stiffness = config.tracking.payload, max(config.tracking.tactile.stiffness)
-    masses = {"mass": payload.mass, "part_mass": payload.part_mass}
-    complaints = [
-        Complaint(
-            ("tracking", "payload", name),
-            f"{mass:g} kg bend the mount by {1e3 * mass * GRAVITY / stiffness:.0f} mm at "
-            f"{stiffness:g} N/m, {1e3 * LARGEST_SAG:g} mm at most. Check it, and "
-            "tracking.tactile.stiffness.",
-        )
-        for name, mass in masses.items()
-        if mass * GRAVITY > LARGEST_SAG * stiffness
-    ]
-    if complaints:
-        raise FileError(document.lines(complaints))
-
-
-def _refuse_unbearable_touch(document: YamlDocument, config: Config) -> None:
-    """Refuse an overload that no mount withstands, and a touch that is felt as late as half of it.
-
-    The touch speed leaves half the overload to what follows until the tool reacts to the touch.
-
-    Raises:
-        FileError: each of them.
-    """
-    tactile = config.tracking.tactile
-    overload, stiffness = tactile.overload_force, max(tactile.stiffness)
-    complaints = []
-    if overload > LARGEST_SAG * stiffness:
-        what = (
-            f"{overload:g} N bend the mount by {1e3 * overload / stiffness:.0f} mm at "
-            f"{stiffness:g} N/m, {1e3 * LARGEST_SAG:g} mm at most. Check it, and "
-            "tracking.tactile.stiffness."
-        )
-        complaints.append(Complaint(("tracking", "tactile", "overload_force"), what))
-    if tactile.contact_force > 0.5 * overload:
-        what = (
-            f"a touch is felt from {tactile.contact_force:g} N on, at most half the overload of "
-            f"{overload:g} N: the tool needs the other half to react. Set a smaller one."
-        )
-        complaints.append(Complaint(("tracking", "tactile", "contact_force"), what))
-    if complaints:
-        raise FileError(document.lines(complaints))
+        yield Complaint(("tracking", "tactile", "overload_force"), what)
 
 
 def _refuse_unmounted_camera(config: Config, task: Task) -> None:
@@ -288,6 +269,25 @@ def _refuse_unmounted_camera(config: Config, task: Task) -> None:
             "its place, with `linemate commission --step camera` or from the drawing."
         )
         raise FileError(task.lines([Complaint(("arm", "camera_in_tcp"), what)]))
+
+
+def _refuse_far_sensor(config: Config, task: Task) -> None:
+    """Refuse a force-torque sensor beyond the tool: its lever would make a torque of each force.
+
+    Raises:
+        FileError: it is farther from the flange than the tcp, and than any tool.
+    """
+    arm = task.file.arm
+    tool, sensor = arm.tcp_in_flange, arm.sensor_in_tcp.position
+    turned = rotations.matrix(tool.quaternion) @ np.array(sensor)
+    far = math.dist(tool.position, -turned)
+    most = max(math.hypot(*tool.position), LARGEST_SENSOR_REACH)
+    if config.force_torque is not None and far > most:
+        what = (
+            f"the sensor would be {far:.2f} m from the flange, at most {most:g} m. Check the "
+            "unit and the sign: its place is seen from the tcp."
+        )
+        raise FileError(task.lines([Complaint(("arm", "sensor_in_tcp", "position"), what)]))
 
 
 def schema() -> dict[str, Any]:

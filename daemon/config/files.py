@@ -32,7 +32,7 @@ def find(name: str, base: Path, shipped: Path) -> Path:
         UnreadableError: there is none.
     """
     path = base / name
-    if path.exists():
+    if os.path.lexists(path):  # a broken link too: a shipped file of that name is another arm
         return path
     bare = Path(name).name == name
     if bare and (shipped / name).is_file():

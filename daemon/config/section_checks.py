@@ -9,9 +9,11 @@ import grp
 import ipaddress
 import os
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.core.tracking.task import Gate, TaskFile
@@ -21,6 +23,7 @@ from linemate.protocol.numeric_peer import parse_peer
 T = TypeVar("T")
 
 LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un
+BITRATES = (10_000, 1_000_000)  # of CAN [bit/s]
 
 _ADDRESSES: tuple[tuple[str, ...], ...] = (
     ("rsi", "bind"),
@@ -93,6 +96,9 @@ def complaints(
         yield from _complaint(("distance", "can"), _check_can, can)
         url = values.get("force_torque", "url", kind=str)
         yield from _complaint(("force_torque", "url"), _check_own_device, url, can)
+    yield from _complaint(
+        ("force_torque", "url"), _check_url, values.get("force_torque", "url", kind=str)
+    )
     for path in _ADDRESSES:
         address = values.get(*path, kind=str)
         if address is not None:
@@ -100,6 +106,10 @@ def complaints(
     peer = values.get("camera", "peer", kind=str)
     if peer is not None:
         yield from _complaint(("camera", "peer"), parse_peer, peer)
+    for section in ("rsi", "egm", "fanuc", "camera"):
+        bind = values.get(section, "bind", kind=str, default=_LOOPBACK)
+        peer = values.get(section, "peer", kind=str)
+        yield from _complaint((section, "bind"), _check_reached, bind, peer)
     yield from _drift_and_learning(values)
     bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)
     remote = values.get("command", "udp", "allow_remote", kind=bool, default=False)
@@ -144,6 +154,8 @@ def _check_socket(base: Path, name: str | None) -> None:
         )
     if not path.parent.is_dir():
         raise ValueError(f"no such directory: {path.parent}")
+    if path.exists() and not path.is_socket():
+        raise ValueError(f"exists and is not a socket: {path}. Give a path of its own.")
 
 
 def _check_can(can: dict[str, Any]) -> None:
@@ -161,6 +173,9 @@ def _check_can(can: dict[str, Any]) -> None:
             raise ValueError(f"python-can has no interface {interface!r}{near}")
     if interface in {"slcan", "socketcan"} and not can.get("channel"):
         raise ValueError(f"{interface} needs a channel, such as {_USUAL_BUSES[interface]}")
+    bitrate = can.get("bitrate", BITRATES[0])
+    if not isinstance(bitrate, int) or not BITRATES[0] <= bitrate <= BITRATES[1]:
+        raise ValueError(f"bitrate should be {BITRATES[0]} to {BITRATES[1]} bit/s, not {bitrate!r}")
     if interface == "udp_multicast" and can.get("hop_limit") != 0:
         raise ValueError("udp_multicast needs hop_limit: 0, else frames leave this host")
 
@@ -173,6 +188,35 @@ def _check_own_device(url: str | None, can: dict[str, Any]) -> None:
     devices = [os.path.realpath(name.partition("@")[0]) for name in (url, channel)]
     if url.startswith("/") and devices[0] == devices[1]:
         raise ValueError(f"{url} is distance.can.channel's already. Give each sensor its device.")
+
+
+def _check_url(url: str | None) -> None:
+    """Refuse what names neither a device nor a serial server; ``virtual`` is an emulated one."""
+    if not url or url.startswith("/") or url == "virtual":
+        return
+    with suppress(ValueError):
+        server = urlsplit(url)
+        if server.scheme == "socket" and server.hostname and server.port:
+            return
+    raise ValueError(
+        f"{url!r} is not the path of a device, such as /dev/serial/by-id/usb-..., "
+        "nor socket://HOST:PORT"
+    )
+
+
+def _check_reached(bind: str | None, peer: str | None) -> None:
+    """Refuse a peer that can send nothing to the address that is listened on."""
+    if bind is None or peer is None:
+        return
+    try:
+        own, other = ipaddress.ip_address(bind), ipaddress.ip_address(parse_peer(peer)[0])
+    except ValueError:  # which has its own complaint
+        return
+    differ = own.version != other.version or own.is_loopback is not other.is_loopback
+    if differ and not own.is_unspecified:
+        raise ValueError(
+            f"{peer} cannot send to {bind}. Give the address of this host's interface to it."
+        )
 
 
 def _check_consent(bind: str) -> None:

@@ -12,7 +12,12 @@ from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core.parameters import Parameters, build
-from linemate.daemon.core.tracking.settings import CameraNoise, DistanceNoise, TrackingSettings
+from linemate.daemon.core.tracking.settings import (
+    CameraNoise,
+    DistanceNoise,
+    PayloadSettings,
+    TrackingSettings,
+)
 from linemate.daemon.core.tracking.task import PoseFile, StopInput, TaskFile
 from linemate.simulators.harness.setup import shipped_control
 
@@ -107,6 +112,17 @@ def test_a_waypoint_nearer_than_the_begin_of_the_last_approach_is_reported() -> 
         assert blind.startswith("waypoints[1]: the gate object_seen is")
         assert what.startswith(f"waypoints[1].pose.position: {gap} before the object's surface")
         assert "nearer than waypoints[2] (60 mm), where the last approach begins" in what
+
+
+def test_bolts_that_reach_the_object_before_the_last_approach_are_reported() -> None:
+    def lines(bolts: float) -> list[str]:
+        tracking = TrackingSettings(payload=PayloadSettings(bolts=bolts))
+        return [complaint.what for complaint in rehearse(made(tracking=tracking)).complaints]
+
+    (what,) = lines(0.3)
+    assert "begins 60 mm before the object's surface, where bolts of 300 mm" in what
+    assert "out to 310 mm" in what
+    assert lines(0.2) == []  # the last waypoint is moved out by itself
 
 
 def test_a_pull_at_the_closed_clamp_is_reported_with_its_force() -> None:

@@ -60,6 +60,26 @@ def test_an_overload_that_bends_the_mount_by_more_than_any_tool_is_refused(write
     assert "overload_force: 6000 N bend the mount by 120 mm at 50000 N/m, 100 mm at most" in line
 
 
+def test_a_force_torque_sensor_beyond_the_tool_is_refused(write: Write, tmp_path: Path) -> None:
+    text = (DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8")
+    for place, is_good in (("[-0.1, 0.0, -0.4]", True), ("[0.0, 0.0, -1.5]", False)):
+        mount = f"  sensor_in_tcp: {{position: {place}}}\n  rest_joints"
+        (tmp_path / "task.yaml").write_text(text.replace("  rest_joints", mount), encoding="utf-8")
+        path = write("task: task.yaml\nforce_torque: {url: /dev/ttyS0}\n")
+        if is_good:
+            assert config.load(path)
+            continue
+        (refused,) = errors(path)
+        assert "arm.sensor_in_tcp.position: the sensor would be 1." in refused
+        assert "m from the flange, at most 0.5 m" in refused
+
+
+def test_a_broken_link_is_no_reason_to_take_a_shipped_file(write: Write, tmp_path: Path) -> None:
+    (tmp_path / "wheel.yaml").symlink_to("none")
+    (refused,) = errors(write("task: wheel.yaml\n"))
+    assert refused.endswith("wheel.yaml: No such file or directory")
+
+
 def test_a_camera_whose_mount_is_left_out_is_refused(write: Write, tmp_path: Path) -> None:
     text = (DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8")
     line = next(line for line in text.splitlines() if "camera_in_tcp" in line)
@@ -136,7 +156,11 @@ def test_a_payload_that_no_mount_bears_is_refused(write: Write, name: str) -> No
 
 @pytest.mark.parametrize("family", ["rsi", "egm", "fanuc"])
 def test_any_cycle_from_1_to_24_ms_is_taken(write: Write, family: str) -> None:
-    peer = "peer: 192.0.2.10, rail: true, signals_byte: 0, " if family == "fanuc" else ""
+    peer = (
+        "peer: 192.0.2.10, bind: 192.0.2.1, rail: true, signals_byte: 0, "
+        if family == "fanuc"
+        else ""
+    )
     text = f"task: wheel.yaml\ncontroller: {{kind: {family}}}\n{family}: {{{peer}cycle_ms: "
     for cycle_ms in range(1, 25):
         assert config.load(write(text + f"{cycle_ms}}}\n")).cycle_s == pytest.approx(
@@ -275,8 +299,9 @@ def test_a_camera_peer_that_is_no_address_is_reported(write: Write) -> None:
     for peer in ("camera.local", "10.0.0.1:0", "10.0.0.1:99999", "10.0.0.1:x", "[::1]5", "[::1"):
         (line,) = errors(write(f'task: wheel.yaml\ncamera: {{peer: "{peer}"}}\n'))
         assert "camera.peer: " in line, peer
-    text = 'task: wheel.yaml\ncamera: {peer: "10.0.0.1:5"}\n'
-    assert config.load(write(text)).config.camera == CameraSettings(peer="10.0.0.1:5")
+    text = 'task: wheel.yaml\ncamera: {bind: 10.0.0.2, peer: "10.0.0.1:5"}\n'
+    camera = CameraSettings(bind="10.0.0.2", peer="10.0.0.1:5")
+    assert config.load(write(text)).config.camera == camera
 
 
 def test_keys_that_others_can_read_are_refused(write: Write, tmp_path: Path) -> None:

@@ -397,6 +397,13 @@ def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
     assert tree.difference(base, base) == {}
 
 
+def test_a_touch_that_is_felt_at_the_overload_is_refused_as_in_the_file(make: Make) -> None:
+    here = make()
+    here.cycles(3)
+    answer = here.assign({"tracking.tactile.contact_force": 300.0})
+    assert "contact_force: a touch is felt from 300 N on, at most half" in answer["refused"]
+
+
 def test_a_limit_wider_than_the_urdfs_is_refused_with_both(make: Make) -> None:
     here = make()
     here.cycles(3)

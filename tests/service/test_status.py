@@ -33,7 +33,7 @@ task: wheel.yaml
 rsi: {port: 0}
 camera: {port: 0}
 distance: {can: {interface: slcan, channel: can}}
-force_torque: {url: ft}
+force_torque: {url: virtual}
 command: {socket: c.sock}
 """
 

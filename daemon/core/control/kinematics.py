@@ -295,9 +295,18 @@ def load(
         model = pin.buildModelFromXML(urdf)
     except (ValueError, RuntimeError) as error:
         raise KinematicsError(f"not a URDF: {error}") from error
-    wanted = 7 if linear_axis else 6
-    if model.nv != wanted or model.nq != wanted:
-        raise KinematicsError(f"the URDF has {model.nv} joints, the task's arm has {wanted}")
+    wanted = ("P",) * linear_axis + ("R",) * 6
+    if model.njoints - 1 != len(wanted):
+        names = ", ".join(list(model.names)[1:]) or "none"
+        raise KinematicsError(
+            f"the URDF has {model.njoints - 1} joints, the task's arm has {len(wanted)}; "
+            f"what moves are {names}"
+        )
+    joints = zip(list(model.names)[1:], list(model.joints)[1:], wanted, strict=True)
+    for name, joint, kind in joints:
+        if not joint.shortname().startswith(f"JointModel{kind}") or joint.nq != 1:
+            text = "prismatic" if kind == "P" else "revolute, with limits"
+            raise KinematicsError(f"joint {name} of the URDF should be {text}")
     if not model.existFrame(flange):
         names = ", ".join(frame.name for frame in model.frames)
         raise KinematicsError(f"the URDF has no frame {flange!r}; it has {names}")

@@ -304,6 +304,11 @@ def test_limits_come_in_the_controllers_order() -> None:
     assert (ARM.lower[6], ARM.upper[6]) == (float(e1[1]), float(e1[2]))
 
 
+def typed(name: str, kind: str) -> str:
+    """Return the shipped URDF with another type of a joint."""
+    return re.sub(f'(name="{name}" type=)"[a-z]+"', f'\\1"{kind}"', URDF)
+
+
 @pytest.mark.parametrize(
     ("urdf", "flange", "linear_axis", "says"),
     [
@@ -314,6 +319,9 @@ def test_limits_come_in_the_controllers_order() -> None:
         (URDF, "flansch", True, "no frame 'flansch'"),
         (URDF, "flange", False, "7 joints, the task's arm has 6"),
         (fixed(URDF), "flange", True, "6 joints, the task's arm has 7"),
+        (typed("A3", "prismatic"), "flange", True, "joint A3 of the URDF should be revolute"),
+        (typed("A6", "continuous"), "flange", True, "joint A6 of the URDF should be revolute"),
+        (typed("E1", "revolute"), "flange", True, "joint E1 of the URDF should be prismatic"),
     ],
 )
 def test_a_urdf_that_cannot_be_says_what_is_wrong(
