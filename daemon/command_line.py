@@ -42,6 +42,17 @@ class NegativeError(Exception):
     """The answer is no; the text says why."""
 
 
+class BadFileError(Exception):
+    """A configuration, task or scenario has errors; a line each: ``file:line:col: key: what``."""
+
+
+_CODES: Final[dict[type[Exception], int]] = {
+    UsageError: USAGE,
+    NegativeError: NO,
+    BadFileError: BAD_FILE,
+}
+
+
 def one_thread() -> None:
     """Let BLAS have one thread, before numpy is imported.
 
@@ -70,9 +81,10 @@ def run(program: str, command: Callable[[], int]) -> int:
     """Run a command and return its exit code, whatever ends it."""
     try:
         return command()
-    except (UsageError, NegativeError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return USAGE if isinstance(error, UsageError) else NO
+    except tuple(_CODES) as error:
+        # A line of a file begins with the file's name, as an editor reads it.
+        print(*() if type(error) is BadFileError else (f"{program}:",), error, file=sys.stderr)
+        return _CODES[type(error)]
     except BrokenPipeError:
         # Python flushes standard output at exit: into /dev/null, so that it does not complain.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from linemate.daemon import command_line
-from linemate.daemon.command_line import NegativeError, UsageError
+from linemate.daemon.command_line import BadFileError, NegativeError, UsageError
 from linemate.daemon.operator import main as operator
 from linemate.daemon.service import main as service
 from linemate.simulators.harness import main as harness
@@ -63,6 +63,7 @@ def failing(error: BaseException) -> Callable[[], int]:
     [
         (NegativeError("no"), 1),
         (UsageError("wrong"), 2),
+        (BadFileError("x.yaml:1:1: key: what"), 78),
         (KeyboardInterrupt(), 130),
         (RuntimeError("a defect"), 70),
         (OSError("a defect"), 70),
@@ -117,6 +118,30 @@ def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
     assert harness.main(["bench", "--plot", str(tmp_path)]) == 2
     assert harness.main(["bench", "--plot", str(tmp_path / "none" / "x.png")]) == 2
     assert capsys.readouterr().err.count("\n") == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        ("status --udp 127.0.0.1 --key none", "none: No such file or directory"),
+        ("view none --no-browser", "none: No such file or directory"),
+        ("view none --no-browser --bind host", "'host' is not a numeric address"),
+        ("plc --users none --bind 127.evil", "'127.evil' is not a numeric address"),
+        ("plc --users none", "none: No such file or directory"),
+        ("report 2026-02-30", "'2026-02-30' should be a day, YYYY-MM-DD"),
+    ],
+)
+def test_an_input_that_cannot_be_is_one_line_with_its_reason_once(
+    words: str, what: str, capsys: Capture
+) -> None:
+    try:
+        code = operator.main(words.split())
+    except SystemExit as ended:
+        code = int(ended.code or 0)
+    shown = capsys.readouterr()
+    assert (code, shown.out, shown.err.count("\n")) == (2, "", 1)
+    assert what in shown.err
+    assert "Errno" not in shown.err
 
 
 @pytest.mark.parametrize("command", ["export", "recover", "identify", "keygen"])

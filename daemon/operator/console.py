@@ -70,6 +70,15 @@ def common_options() -> argparse.ArgumentParser:
     return common
 
 
+def numeric_address(text: str) -> str:
+    """Return the address of an option."""
+    import ipaddress
+
+    with contextlib.suppress(ValueError):
+        return str(ipaddress.ip_address(text))
+    raise argparse.ArgumentTypeError(f"{text!r} is not a numeric address")
+
+
 def udp_address(text: str) -> tuple[str, int]:
     """Return HOST or HOST:PORT as a pair."""
     host, colon, port = text.rpartition(":")

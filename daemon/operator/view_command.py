@@ -28,7 +28,7 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
         help="of the page, any free one; with --foxglove 8765",
     )
     parser.add_argument(
-        "--bind", type=_address, default="127.0.0.1", metavar="ADDRESS",
+        "--bind", type=console.numeric_address, default="127.0.0.1", metavar="ADDRESS",
         help="listen there; beyond the loopback all who reach it can watch",
     )  # fmt: skip
     parser.add_argument(
@@ -47,6 +47,11 @@ def main(args: argparse.Namespace) -> int:
         os.nice(NICE)
     if args.foxglove:
         return _serve_channels(args)
+    for file in args.files:
+        try:
+            file.open("rb").close()
+        except OSError as error:
+            raise UsageError(f"{file}: {error.strerror}") from error
     import asyncio
 
     from linemate.daemon.recording.format import UnreadableRecordingError
@@ -95,11 +100,3 @@ def _source(args: argparse.Namespace) -> str:
     if udp:
         return f"{udp[0]}:{udp[1]}"
     return str(getattr(args, "socket", None) or "this host")
-
-
-def _address(text: str) -> str:
-    import ipaddress
-
-    with contextlib.suppress(ValueError):
-        return str(ipaddress.ip_address(text))
-    raise argparse.ArgumentTypeError(f"{text!r} is not a numeric address")

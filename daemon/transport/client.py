@@ -87,8 +87,10 @@ def read_private(path: Path) -> str:
             if unsafe is not None:
                 raise KeyFileError(f"{path}: {unsafe}")
             return file.read(65536)
-    except (OSError, UnicodeDecodeError) as error:
-        raise KeyFileError(f"{path}: {error}") from error
+    except OSError as error:
+        raise KeyFileError(f"{path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise KeyFileError(f"{path}: not a text: {error.reason}") from error
 
 
 def read_key(path: Path, name: str | None = None) -> "PresharedKey":

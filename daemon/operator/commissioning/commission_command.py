@@ -9,7 +9,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from linemate.daemon.command_line import DISTRIBUTION, NO, OK, NegativeError, UsageError, one_thread
+from linemate.daemon.command_line import (
+    DISTRIBUTION,
+    NO,
+    OK,
+    BadFileError,
+    NegativeError,
+    UsageError,
+    one_thread,
+)
 from linemate.daemon.operator import console, render
 from linemate.protocol.stamped_samples import Vector3
 
@@ -166,7 +174,7 @@ def _write_motion(site: "Site", state: "SiteState", step: "WalkStep") -> None:
     """Write the task of a step's motion and a configuration that runs it.
 
     Raises:
-        NegativeError: the configuration, or the motion in it, is refused.
+        BadFileError: the configuration, or the motion in it, is refused.
     """
     from linemate.daemon.config.documents import FileError
     from linemate.daemon.operator.commissioning import motion_files
@@ -174,7 +182,7 @@ def _write_motion(site: "Site", state: "SiteState", step: "WalkStep") -> None:
     try:
         path = motion_files.write_motion(site, state, step.name)
     except FileError as error:
-        raise NegativeError("\n".join(error.lines)) from error
+        raise BadFileError(str(error)) from error
     print(f"  motion: linemated --config {path}, then home, arm and start. Stop it afterwards")
 
 

@@ -3,19 +3,19 @@
 import argparse
 import asyncio
 import getpass
+import ipaddress
 import os
 import signal
 import sys
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import NO, OK, UsageError
+from linemate.daemon.command_line import OK, UsageError
 from linemate.daemon.operator import console
 from linemate.daemon.operator.plc import plc_users
 from linemate.protocol.command.frame_codec import Role
 
 PORT: Final = 4840
-LOOPBACK: Final = ("127.", "localhost", "::1")
 
 
 def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
@@ -23,7 +23,13 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
     about = "serve state, results and methods over OPC UA (extra 'plc')"
     plc = commands.add_parser("plc", parents=[common], help=about, description=about)
     plc.add_argument("--users", type=Path, required=True, metavar="FILE", help="who may do what")
-    plc.add_argument("--bind", default="127.0.0.1", metavar="ADDRESS", help="127.0.0.1")
+    plc.add_argument(
+        "--bind",
+        type=console.numeric_address,
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="127.0.0.1",
+    )
     plc.add_argument("--port", type=_port, default=PORT, metavar="N", help=f"{PORT}")
     plc.add_argument("--certificate", type=Path, metavar="FILE", help="of the server, DER or PEM")
     plc.add_argument("--private-key", type=Path, metavar="FILE", help="of the certificate")
@@ -50,7 +56,8 @@ def _serve(args: argparse.Namespace) -> int:
         raise UsageError("--certificate and --private-key belong together")
     if args.certificate is not None:
         certificate = (args.certificate, args.private_key)
-    if not args.bind.startswith(LOOPBACK) and not (args.allow_remote and certificate):
+    is_local = ipaddress.ip_address(args.bind).is_loopback
+    if not is_local and not (args.allow_remote and certificate):
         raise UsageError(
             f"{args.bind} can be reached by others; say --allow-remote and give --certificate"
         )
@@ -71,8 +78,7 @@ def _serve(args: argparse.Namespace) -> int:
     try:
         asyncio.run(body())
     except OSError as error:
-        console.complain(f"{endpoint}: {error}")
-        return NO
+        raise UsageError(f"{endpoint}: {error.strerror or error}") from error
     return OK
 
 

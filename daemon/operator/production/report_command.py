@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import json
 import re
+from datetime import date
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,9 +29,12 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
 
 
 def _day(text: str) -> str:
-    if _DAY.fullmatch(text) is None:
-        raise argparse.ArgumentTypeError(f"{text!r} should be YYYY-MM-DD")
-    return text
+    try:
+        if _DAY.fullmatch(text) is not None:
+            return str(date.fromisoformat(text))
+    except ValueError:
+        pass
+    raise argparse.ArgumentTypeError(f"{text!r} should be a day, YYYY-MM-DD")
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -42,15 +46,18 @@ def _run(args: argparse.Namespace) -> int:
             console.complain(f"{path}: longer than {MOST_BYTES} bytes")
             return NO
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        console.complain(f"{path}: {error}")
+    except OSError as error:
+        console.complain(f"{path}: {error.strerror}. Check --records and production.records")
+        return NO
+    except UnicodeDecodeError as error:
+        console.complain(f"{path}: not a text: {error.reason}")
         return NO
     records, damaged = read(lines)
     out = args.out or Path(f"report-{args.day}.html")
     try:
         out.write_text(day_report.page(records, args.day), encoding="utf-8")
     except OSError as error:
-        console.complain(f"{out}: {error}")
+        console.complain(f"{out}: {error.strerror}")
         return USAGE
     note = f", {damaged} damaged lines left out" if damaged else ""
     print(f"{out}: {len(records)} parts{note}")

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import NegativeError, check_output_file, one_thread
+from linemate.daemon.command_line import BadFileError, NegativeError, check_output_file, one_thread
 from linemate.daemon.operator import console, identify_command
 
 DEFAULT_OUT: Final = Path("arm-geometry.yaml")
@@ -36,7 +36,9 @@ def main(args: argparse.Namespace) -> int:
     try:
         station = config.load(args.config)
         text = files.read(args.file, measured_poses.MOST_BYTES).decode("utf-8-sig")
-    except (FileError, UnreadableError) as error:
+    except FileError as error:
+        raise BadFileError(str(error)) from error
+    except UnreadableError as error:
         raise NegativeError(str(error)) from error
     except UnicodeDecodeError as error:
         raise NegativeError(f"{args.file}: not a text: {error.reason}") from error

@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 from typing import Any, Final
 
-from linemate.daemon.command_line import NO, OK, NegativeError, UsageError
+from linemate.daemon.command_line import NO, OK, BadFileError, NegativeError, UsageError
 from linemate.daemon.config import documents, files, task_file
 from linemate.daemon.config.files import PROTOCOL_DATA, UnreadableError
 from linemate.daemon.config.settings import Corrections
@@ -46,7 +46,7 @@ def _lint(args: argparse.Namespace) -> int:
     except UnreadableError as error:
         raise UsageError(str(error)) from error
     except documents.FileError as error:
-        raise NegativeError(str(error)) from error
+        raise BadFileError(str(error)) from error
     findings = rsi_lint.lint(xml, corrections, constants, task)
     if args.json:
         print(

@@ -98,8 +98,8 @@ def test_a_missing_file_and_a_wrong_configuration_are_reasons(
     assert run(tmp_path / "none.csv", "--config", cell, "--out", tmp_path / "a.yaml") == 1
     assert "none.csv: No such file" in capsys.readouterr().err
     (tmp_path / "bad.yaml").write_text("version: 9")
-    assert run(tmp_path / "x.csv", "--config", tmp_path / "bad.yaml") == 1
-    assert "bad.yaml:1:" in capsys.readouterr().err
+    assert run(tmp_path / "x.csv", "--config", tmp_path / "bad.yaml") == 78
+    assert capsys.readouterr().err.startswith(f"{tmp_path / 'bad.yaml'}:1:")
 
 
 @pytest.mark.parametrize(
