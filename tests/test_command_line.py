@@ -121,6 +121,23 @@ def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
 
 
 @pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("linemated", "--config x --ready-fd 999"),
+        *(("linemate-sim", f"run --cycle-ms {value}") for value in ("0", "nan", "25")),
+    ],
+)
+def test_a_number_out_of_range_is_one_line_before_any_work(
+    program: str, words: str, capsys: Capture
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[program](words.split())
+    shown = capsys.readouterr()
+    assert (ended.value.code, shown.out, shown.err.count("\n")) == (2, "", 1)
+    assert words.rpartition(" ")[2] in shown.err
+
+
+@pytest.mark.parametrize(
     ("words", "what"),
     [
         ("status --udp 127.0.0.1 --key none", "none: No such file or directory"),
@@ -129,6 +146,8 @@ def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
         ("plc --users none --bind 127.evil", "'127.evil' is not a numeric address"),
         ("plc --users none", "none: No such file or directory"),
         ("report 2026-02-30", "'2026-02-30' should be a day, YYYY-MM-DD"),
+        ("export .", ".: Is a directory"),
+        ("recover .", ".: Is a directory"),
     ],
 )
 def test_an_input_that_cannot_be_is_one_line_with_its_reason_once(

@@ -29,7 +29,7 @@ def complaints(value: Any) -> Iterator[Complaint]:
     """
     whole = value if isinstance(value, dict) else {}
     own = _section(whole, "watch")
-    given = {name: number for name, number in own.items() if name in _KNOWN}
+    given = {name: number for name, number in own.items() if name in _KNOWN and number is not None}
     period_ms = cycle_ms(whole)
     if any(type(number) not in _NUMBERS for number in (*given.values(), period_ms)):
         return

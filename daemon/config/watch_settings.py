@@ -17,6 +17,10 @@ _ORDERED = (
 )
 
 
+LONGEST_DEBOUNCE_S = 0.15
+"""For which the tool moves on after a touch: what counts later is no reaction to it."""
+
+
 @dataclass(frozen=True, slots=True)
 class WatchSettings:
     """When something counts as lost, stale, healthy or too long.
@@ -78,7 +82,7 @@ class WatchSettings:
 
 
 def timeout_error(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | None:
-    """Return the key of a time-out that can never act and the reason, None if all can.
+    """Return the key of a time-out that acts never or late and the reason, None if all act.
 
     Args:
         cycle_s: period of the controller [s].
@@ -86,6 +90,11 @@ def timeout_error(settings: WatchSettings, cycle_s: float) -> tuple[str, str] | 
     if settings.missed_s < cycle_s:
         why = f"{settings.missed_s:g} s is shorter than a cycle of {cycle_s:g} s"
         return "missed_s", f"{why}: every late telegram would stop the robot"
+    for name in ("cycles_of_contact", "cycles_of_overload"):
+        count = getattr(settings, name)
+        if count * cycle_s > LONGEST_DEBOUNCE_S:
+            why = f"{count} cycles are {count * cycle_s:g} s, at most {LONGEST_DEBOUNCE_S:g} s"
+            return name, f"{why}: the tool moves on in that time"
     for first, second in _ORDERED:
         value, limit = getattr(settings, first), getattr(settings, second)
         if value > limit:

@@ -82,7 +82,7 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
 
 def main_export(args: argparse.Namespace) -> int:
     """Write a recording's tables; the exit code says whether the recording was complete."""
-    path: Path = args.file
+    path = _recording(args.file)
     if args.foxglove is not None:
         return _main_channels(path, args.foxglove)
     folder: Path = args.out or path.with_suffix("")
@@ -97,6 +97,13 @@ def main_export(args: argparse.Namespace) -> int:
     for name, rows in sorted(written.items()):
         print(f"{folder / name}  {rows} rows")
     return _code(path, damage)
+
+
+def _recording(path: Path) -> Path:
+    """Return the path of a recording, which has a name."""
+    if path.is_dir():
+        raise UsageError(f"{path}: Is a directory")
+    return path
 
 
 def _code(path: Path, damage: "DamageReport | None") -> int:
@@ -131,7 +138,7 @@ def _main_channels(path: Path, out: Path) -> int:
 
 def main_recover(args: argparse.Namespace) -> int:
     """Write a complete recording from what can be read of a damaged one."""
-    path: Path = args.file
+    path = _recording(args.file)
     out: Path = args.out or path.with_name(f"{path.stem}-recovered.mcap")
     check_output_file(out)
     try:

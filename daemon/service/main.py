@@ -112,6 +112,14 @@ def _report_ready(listening: dict[str, Any], ready_fd: int | None) -> None:
         pipe.write(json.dumps(listening) + "\n")
 
 
+def _descriptor(text: str) -> int:
+    try:
+        os.fstat(int(text))
+    except (ValueError, OverflowError, OSError) as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is no open file descriptor") from error
+    return int(text)
+
+
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     command_parser = CommandLine(prog="linemated", description="The linemate daemon.")
@@ -121,7 +129,7 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--schema", action="store_true", help="print the JSON schema of FILE and end")
     command_parser.add_argument("--check", action="store_true", help="validate every file and end")
     command_parser.add_argument(
-        "--ready-fd", type=int, metavar="N", help="write a line of JSON with the ports here"
+        "--ready-fd", type=_descriptor, metavar="N", help="write a line of JSON with the ports here"
     )
     levels = ("debug", "info", "warning", "error")
     command_parser.add_argument(

@@ -189,6 +189,7 @@ _count = bounded(int, 1, MAX_SEEDS, f"should be 1..{MAX_SEEDS}")
 _hours = bounded(float, POSITIVE, MAX_HOURS, f"should be hours, at most {MAX_HOURS:g}")
 _minutes = bounded(float, POSITIVE, MAX_MINUTES, f"should be 0..{MAX_MINUTES:g} minutes")
 _seconds = bounded(float, 0.1, MAX_ROUND_S, f"should be 0.1..{MAX_ROUND_S:g} seconds")
+_cycle_ms = bounded(float, 1.0, 24.0, "should be 1..24 ms")
 _share = bounded(float, 0.0, 1.0, "should be a share, 0..1")
 
 Commands = argparse._SubParsersAction  # noqa: SLF001 -- argparse has no public name for it
@@ -288,7 +289,7 @@ def _add_run(commands: "Commands[CommandLine]") -> None:
     _add_common(run)
     _add_cell(run)
     _add_plan(run)
-    run.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    run.add_argument("--cycle-ms", type=_cycle_ms, metavar="MS", help="instead of the scenario's")
     run.add_argument("--seed", type=seeds, default=(0,), dest="seeds", metavar="N|A..B")
     run.add_argument("--variant", type=variant, default="default", metavar="NAME", help="default")
     run.add_argument(
@@ -302,7 +303,9 @@ def _add_campaign(commands: "Commands[CommandLine]") -> None:
     _add_common(campaign)
     _add_cell(campaign)
     _add_plan(campaign)
-    campaign.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    campaign.add_argument(
+        "--cycle-ms", type=_cycle_ms, metavar="MS", help="instead of the scenario's"
+    )
     campaign.add_argument("--seeds", type=_count, default=40, metavar="N")
     campaign.add_argument("--first-seed", type=int, default=0, metavar="M")
     _add_scheduler(campaign)
@@ -373,7 +376,7 @@ def _add_world(commands: "Commands[CommandLine]") -> None:
     _add_which_world(world)
     world.add_argument("--rows", metavar="A,B,...", help="names of rows; all by default")
     world.add_argument("--seeds", type=seeds, default=(0, 1, 2), metavar="N|A..B", help="0..2")
-    world.add_argument("--cycle-ms", type=float, metavar="MS", help="instead of the scenario's")
+    world.add_argument("--cycle-ms", type=_cycle_ms, metavar="MS", help="instead of the scenario's")
     world.add_argument(
         "--learnt",
         type=int,

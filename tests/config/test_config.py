@@ -89,6 +89,14 @@ def test_a_camera_whose_mount_is_left_out_is_refused(write: Write, tmp_path: Pat
     assert config.load(write("task: task.yaml\n"))
 
 
+def test_a_value_that_is_left_to_its_default_does_not_hide_the_order_of_time_outs(
+    write: Write,
+) -> None:
+    text = "task: wheel.yaml\nwatch: {in_sync_bit: null, missed_s: 1.7}\n"
+    (line,) = errors(write(text))
+    assert "watch.missed_s: 1.7 s is longer than watch.link_lost_s: 0.1 s" in line
+
+
 def test_an_empty_text_is_refused_in_plain_words(write: Write) -> None:
     assert "1:7: task: should not be empty" in errors(write('task: ""\n'))
 

@@ -19,6 +19,8 @@ def test_the_shipped_time_outs_can_all_act_at_any_cycle(cycle_s: float) -> None:
         ({"missed_s": 0.01}, "missed_s", "shorter than a cycle of 0.012 s"),
         ({"missed_in_contact_s": 0.4}, "missed_in_contact_s", "watch.link_lost_in_contact_s"),
         ({"missed_in_contact_s": 0.02}, "missed_s", "longer than watch.missed_in_contact_s"),
+        ({"cycles_of_contact": 13}, "cycles_of_contact", "13 cycles are 0.156 s, at most 0.15 s"),
+        ({"cycles_of_overload": 1000}, "cycles_of_overload", "1000 cycles are 12 s"),
         ({"link_lost_s": 0.5}, "link_lost_s", "longer than watch.link_lost_in_contact_s: 0.3 s"),
     ],
 )
