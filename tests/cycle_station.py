@@ -41,6 +41,7 @@ class Station:
         self.ipoc, self.step = 4_208_111_000, 12
         self.delay = 0
         self.offset_ns = 0
+        self.free_force = (0.0, 0.0, 0.1)
         self.commands = [self.start]
 
     @property
@@ -63,7 +64,7 @@ class Station:
         stamp_ns = self.stamp_ns - 3_000_000
         self.cycle.samples.distance.push(DistanceSample(stamp_ns, self.where(stamp_ns), 1.0))
         self.cycle.samples.wrench.push(
-            WrenchSample(stamp_ns, (0.0, 0.0, 0.1), (0.0, 0.0, self.k * 1e-6))
+            WrenchSample(stamp_ns, self.free_force, (0.0, 0.0, self.k * 1e-6))
         )
 
     def where(self, stamp_ns: int) -> float:

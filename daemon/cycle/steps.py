@@ -18,7 +18,7 @@ from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.tracking.touch import tare
+from linemate.daemon.core.tracking.estimation import carried_weights
 from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change
@@ -442,13 +442,14 @@ class Stepper:
         settings = self.parameters.tracker.settings
         moving = self.machine.state in states.MOVING
         conditions = Conditions(moving, settings.distance.deviation, self._in_last_approach)
-        weight = tare.carried(state.tracker.tare, settings.tactile)
-        if self.parameters.wrench_frame is not None:
-            weight = wrench_frame.force_in_sensor(self.parameters.wrench_frame, weight)
+        weights = carried_weights(self.parameters.tracker, state.tracker)
+        frame = self.parameters.wrench_frame
+        if frame is not None:
+            weights = tuple(wrench_frame.force_in_sensor(frame, weight) for weight in weights)
         limit = settings.tactile.overload_force
         if self.machine.state is State.TRACK:
             limit = force_limit(settings.payload.bolts, state.tracker.distance, limit)
-        return self.samples.drain(conditions, limit, weight)
+        return self.samples.drain(conditions, limit, weights)
 
     def _situation(self) -> Situation:
         """Return the robot and the task for a decision."""

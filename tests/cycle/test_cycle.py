@@ -1,5 +1,6 @@
 """The cyclic heart: a telegram in, a reply out, with the real codec and in virtual time."""
 
+import dataclasses
 import json
 import re
 from collections.abc import Iterator
@@ -16,8 +17,10 @@ from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.touch.compliance import Compliance
+from linemate.daemon.core.tracking.touch.tare import GRAVITY
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.operating import SETTLING
 from linemate.daemon.cycle.setpoint_reference import CONFIRMATIONS, Proof
@@ -571,6 +574,21 @@ def test_one_sample_of_overload_is_ignored_and_the_second_is_not(
         station.cycle.samples.wrench.push(WrenchSample(stamp_ns, (0.0, force, 0.0), (0.0,) * 3))
     station.exchange()
     assert (station.cycle.machine.state is State.RETREAT) == retreats
+
+
+@pytest.mark.parametrize("zeroed", [False, True])
+def test_a_payload_that_weighs_more_than_the_overload_is_tracked_wherever_the_sensor_was_zeroed(
+    parameters: Parameters, task: Task, *, zeroed: bool
+) -> None:
+    tracker = parameters.tracker
+    settings = dataclasses.replace(tracker.settings, payload=PayloadSettings(mass=40.0))
+    heavy_tracker = dataclasses.replace(tracker, settings=settings)
+    heavy = dataclasses.replace(parameters, tracker=heavy_tracker)
+    station = Station(heavy, task)
+    # The tcp's x points down.
+    station.free_force = (0.0 if zeroed else 40.0 * GRAVITY, 0.0, 0.1)
+    station.track(10)
+    assert station.cycle.machine.state is State.TRACK
 
 
 @pytest.mark.parametrize(("rms", "fixed"), [(90.0, True), (180.0, False)])

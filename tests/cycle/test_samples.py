@@ -50,12 +50,12 @@ def test_the_newest_stamp_is_that_of_the_newest_accepted_sample() -> None:
     assert queue.fact.stamp_ns == 5
 
 
-def _is_overloaded(forces: list[float], weight: float) -> bool:
-    """Whether forces along z are an overload beyond 350 N, with a weight along z."""
+def _is_overloaded(forces: list[float], *weights: float) -> bool:
+    """Whether forces along z are an overload beyond 350 N, with possible weights along z."""
     queues = SensorQueues()
     for k, force in enumerate(forces):
         queues.wrench.push(WrenchSample(4_000_000 * k, (0.0, 0.1 * k, force), (0.0, 0.0, 0.0)))
-    queues.drain(CONDITIONS, 350.0, (0.0, 0.0, weight))
+    queues.drain(CONDITIONS, 350.0, tuple((0.0, 0.0, weight) for weight in weights))
     return queues.overloaded
 
 
@@ -67,3 +67,9 @@ def test_a_weight_that_the_mount_carries_is_no_overload() -> None:
 def test_a_force_beyond_the_weight_is_an_overload_whichever_way_it_pushes() -> None:
     assert _is_overloaded([660.0, 661.0], 294.0)
     assert _is_overloaded([-100.0, -101.0], 294.0)
+
+
+def test_a_force_is_no_overload_if_one_of_the_possible_weights_explains_it() -> None:
+    assert not _is_overloaded([380.0, 385.0], 0.0, 294.0)
+    assert not _is_overloaded([-100.0, -101.0], 0.0, 294.0)
+    assert _is_overloaded([660.0, 661.0], 0.0, 294.0)

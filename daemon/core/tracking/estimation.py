@@ -206,6 +206,19 @@ def gravity(tracker: Tracker, pose: Array) -> Vector3:
     return (-a * x - d * y - g * z, -b * x - e * y - h * z, -c * x - f * y - i * z)
 
 
+def carried_weights(tracker: Tracker, state: TrackerState) -> tuple[Vector3, ...]:
+    """Return the weights that the sensor may state without a contact, in the tcp [N].
+
+    Before the tare it is not known whether it was zeroed with the payload on.
+    """
+    weight = tracker.settings.payload.mass * tare.GRAVITY
+    known = tare.carried(state.tare, tracker.settings.tactile)
+    if state.tare.wrench is not None or state.tare.empty is not None or weight == 0.0:
+        return (known,)
+    x, y, z = gravity(tracker, state.poses[0])
+    return known, (weight * x, weight * y, weight * z)
+
+
 def _is_unloading(tracker: Tracker, state: TrackerState) -> bool:
     """Return whether the object takes weight over: a known one as soon as it is screwed on."""
     if state.tare.part is None:

@@ -6,9 +6,9 @@ Invariants:
 - A step takes the samples that came before it, and waits for none.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from math import sqrt
 from typing import Any, Generic
 
 from msgspec import Struct
@@ -156,20 +156,24 @@ class SensorQueues:
         self._was_beyond = False
 
     def drain(
-        self, conditions: Conditions, force_limit: float, weight: Vector3 = (0.0, 0.0, 0.0)
+        self,
+        conditions: Conditions,
+        force_limit: float,
+        weights: tuple[Vector3, ...] = ((0.0, 0.0, 0.0),),
     ) -> DrainedSamples:
         """Return the samples of a step.
 
         Args:
             force_limit: that the tool withstands in addition to the weight [N].
-            weight: that the mount carries, in the sensor's axes [N].
+            weights: that the mount may carry, in the sensor's axes [N]. A force is an overload
+                only if it is beyond the limit with each of them.
         """
         distance = self._count_from_object(self.distance.drain(conditions))
         camera = self.camera.drain(conditions)
         wrench = self.wrench.drain(conditions)
         self.overloaded = False
         for sample in wrench:
-            self._check_overload(sample, force_limit, weight)
+            self._check_overload(sample, force_limit, weights)
         return DrainedSamples(distance, camera, wrench)
 
     def _count_from_object(
@@ -183,13 +187,13 @@ class SensorQueues:
             return distance
         return tuple([replace(sample, position=sample.position + offset) for sample in distance])
 
-    def _check_overload(self, sample: WrenchSample, limit: float, weight: Vector3) -> None:
-        (x, y, z), (u, v, w) = sample.force, weight
-        x, y, z = x - u, y - v, z - w
-        square = x * x + y * y + z * z
-        is_beyond = square > limit * limit
+    def _check_overload(
+        self, sample: WrenchSample, limit: float, weights: tuple[Vector3, ...]
+    ) -> None:
+        force = min(math.dist(sample.force, weight) for weight in weights)
+        is_beyond = force > limit
         if is_beyond:
-            self.overload_n = sqrt(square), limit
+            self.overload_n = force, limit
         self.overloaded |= is_beyond and self._was_beyond
         self._was_beyond = is_beyond
 

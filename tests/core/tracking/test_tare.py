@@ -140,6 +140,24 @@ def test_only_a_known_weight_is_carried_and_none_without_the_wheel() -> None:
     assert tare.carried(tare.released(state, None, DT), MOUNT) == (0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("shown", "carried"), [(WEIGHT, WEIGHT), (8.0, 0.0), (0.6 * WEIGHT, WEIGHT)]
+)
+def test_a_sensor_that_was_zeroed_with_the_payload_on_states_no_weight(
+    shown: float, carried: float
+) -> None:
+    state = hung(wrench(shown), PayloadSettings(mass=25.0))
+    assert tare.carried(state, MOUNT) == pytest.approx((carried, 0.0, 0.0))
+
+
+def test_a_zeroed_sensor_states_the_weight_that_the_hub_takes_over_with_the_other_sign() -> None:
+    payload = PayloadSettings(mass=25.0, part_mass=20.0)
+    state = hung(wrench(0.0), payload)
+    for _ in range(300):
+        state = tare.unloaded(state, MOUNT, DT, 0.0)
+    assert tare.carried(state, MOUNT)[0] == pytest.approx(-20.0 * tare.GRAVITY)
+
+
 def test_a_tool_that_springs_up_is_overloaded_by_no_more_than_the_wheel_weighed() -> None:
     """A sensor zeroed with a wheel of 25 kg on read 490 N after the release: an overload."""
     state, off = NO_TARE, 0.0

@@ -13,6 +13,7 @@ Invariants:
   A weight that the sensor shows counts there, if it is clearly more than the configured one.
 - A part of known weight is taken over whole, wherever sensor and tcp were zeroed: the target is
   lowered by what the mount springs up without it, as far as the overload allows.
+- A sensor may have been zeroed with the payload on: the mean of the free tool shows whether it was.
 - After the release the reading of the empty tool is not known: a sensor that was zeroed with the
   wheel on shows its weight with the other sign then. An overload counts from the mean since.
 - A wrench that no free tool has does not enter.
@@ -225,7 +226,7 @@ def shown_weight(tare: Tare, mount: TactileNoise) -> tuple[float, float] | None:
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
-    """Return the weight that the mount carries, in the tcp [N]; nothing while it is not known.
+    """Return the weight on the mount as the sensor states it, in the tcp [N]; 0 if not known.
 
     Of a tool that released its wheel it is the mean reading. A tool that springs up swings about it
     by what the wheel weighed, so this counts as no more than the wheel did.
@@ -236,6 +237,11 @@ def carried(tare: Tare, mount: TactileNoise) -> Vector3:
     sag = mounted(tare)
     if tare.wrench is None or sag is None:
         return (0.0, 0.0, 0.0)
+    if tare.sag is not None:
+        whole = tare.sag[:3] * np.array(mount.stiffness)
+        if 2.0 * float(tare.wrench[:3].dot(whole)) < float(whole.dot(whole)):
+            # Nearer to nothing than to the weight: the sensor was zeroed with it on.
+            sag = sag - tare.sag
     x, y, z = (bend * k for bend, k in zip(sag[:3].tolist(), mount.stiffness, strict=True))
     return (x, y, z)
 
