@@ -179,6 +179,26 @@ def test_a_known_sway_fades_when_another_is_found_in_contact() -> None:
     assert sizes[-1] < 0.0001
 
 
+def test_a_sway_that_fades_keeps_its_own_frequency() -> None:
+    """The body rings on the mount at 3.7 Hz: turned by that, a slow sway moved the target."""
+    before, _ = in_contact(3.0, 0.0)
+    known = swaying(structs.replace(before, guide=None))
+    led = guide.advance(BANK, known, known, (), DT)
+    later = guide.advance(BANK, led, led, (), DT)
+    found = structs.replace(led, sway_omega=math.tau * 3.7)
+    fading = guide.advance(BANK, led, found, (), DT)
+    times = np.linspace(0.0, 0.12, 7)
+    moved = BANK.predict_positions(fading, times) - BANK.predict_positions(later, times)
+    assert np.abs(moved).max() < 0.0002
+    for _ in range(10):
+        later = guide.advance(BANK, later, later, (), DT)
+        fading = guide.advance(BANK, fading, fading, (), DT)
+    assert later.guide is not None
+    assert fading.guide is not None
+    share = math.exp(-11.0 * DT / guide.FADE_S)
+    assert fading.guide.x[SWAY] == pytest.approx(share * later.guide.x[SWAY], abs=0.0001)
+
+
 def stuck_distance(state: BankState, seconds: float) -> tuple[BankState, list[float]]:
     """The bank in contact with a running body next to a stuck sensor; positions off the body.
 

@@ -74,6 +74,7 @@ class Guide(Struct, frozen=True, eq=False):
         waits: the null filter was widened, and has not led the guide since.
         missed: readings of the distance sensor beyond the guide's gate in a row.
         felt: deflection from the guide.
+        sway_omega: frequency of the sway that leads, or fades [rad/s].
     """
 
     x: Array
@@ -83,6 +84,7 @@ class Guide(Struct, frozen=True, eq=False):
     waits: bool = False
     missed: int = 0
     felt: FeltDrift = UNFELT
+    sway_omega: float = 0.0
 
 
 class BankState(Struct, frozen=True, eq=False):

@@ -52,35 +52,38 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     omega_ripple = model.ripple_omega(state)
     y = v = r = 0.0
     nonlinear: Array | float = 0.0
-    for weight, estimate, motion, omega in _weighted_estimates(model, state):
+    for weight, estimate, motion, omega, swaying in _weighted_estimates(model, state):
         x = estimate.tolist()
         y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RANDOM]
         part = _nonlinear_part(model, x, motion, omega, state.cruise, times, omega_ripple)
         nonlinear = nonlinear + weight * part
-        if state.sway_omega:
-            nonlinear = nonlinear + weight * sway_ahead(model, state, x, motion, times)
+        if swaying.sway_omega:
+            nonlinear = nonlinear + weight * sway_ahead(model, swaying, x, motion, times)
     steady: Array = (y + r * tau) + v * times - (r * tau) * model.ripple_decay(tau, times)
     return steady + nonlinear
 
 
 def _weighted_estimates(
     model: BankModel, state: BankState
-) -> list[tuple[float, Array, Motion, float]]:
-    """Return weight, estimate (10,), class and impulse frequency of what the prediction mixes."""
+) -> list[tuple[float, Array, Motion, float, BankState]]:
+    """Return what the prediction mixes.
+
+    Each has weight, estimate (10,), class, impulse frequency, and the state that knows its sway.
+    """
     before, state = state, _with_announcement(model, state)
     change, impulse = hypothesis_weights(model, state, is_announced=state is not before)
     estimates, rest = [], 1.0
     if change > LEAST_WEIGHT:
         motion, _ = NEXT[state.motion]
         changed = _without_impulse(state, _after_change(state))
-        estimates.append((change, changed, motion, state.impulse_omega))
+        estimates.append((change, changed, motion, state.impulse_omega, state))
         rest -= change
     if impulse > LEAST_WEIGHT and state.guide is None:
         omega = model.likeliest_omega(state)
-        estimates.append((impulse, _after_impulse(model, state), state.motion, omega))
+        estimates.append((impulse, _after_impulse(model, state), state.motion, omega, state))
         rest -= impulse
     led = guide.led_state(state)
-    estimates.append((rest, ramp_estimate(model, led), state.motion, state.impulse_omega))
+    estimates.append((rest, ramp_estimate(model, led), state.motion, state.impulse_omega, led))
     return estimates
 
 

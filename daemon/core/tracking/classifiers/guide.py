@@ -15,7 +15,7 @@ Invariants:
   that an impulse disturbance explains does not: it swings back.
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
-  was known before fades.
+  was known before fades, at its own frequency.
 """
 
 import math
@@ -95,7 +95,10 @@ def advance(
     if guide is None or (is_wrong and float(state.P[V, V]) < KNOWN**2):
         felt = UNFELT if guide is None else felt_drift.moved(guide.felt)
         return replace(state, guide=replace(synchronised(state), felt=felt))
-    predicted, missed, felt = _predicted(model, state, guide, dt), guide.missed, guide.felt
+    sways = guide.sways and not sway_filter.has_taken_over(before, state)
+    # A sway that fades keeps its own frequency: turned by a quick one it moved the target by 6 mm.
+    omega = state.sway_omega if sways else guide.sway_omega
+    predicted, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
     led = predicted
     for measurement in measurements:
         corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
@@ -109,12 +112,11 @@ def advance(
             missed = missed + 1 if corrected is led else 0
         led = corrected
     led_sway = led.x[_SWAY].copy()
-    sways = guide.sways and not sway_filter.has_taken_over(before, state)
     if state.motion is not before.motion:
         led = _in_class(model, state, led, measurements, sways=sways)
         felt = felt_drift.moved(felt)
     led = led if sways else _fading(led, led_sway, dt)
-    guide = Guide(led.x, led.P, led.ripple_factor, sways, waits, missed, felt)
+    guide = Guide(led.x, led.P, led.ripple_factor, sways, waits, missed, felt, omega)
     return replace(state, guide=guide)
 
 
@@ -123,7 +125,9 @@ def led_state(state: BankState) -> BankState:
     guide = state.guide
     if guide is None or state.is_firm:
         return state
-    return replace(state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor)
+    return replace(
+        state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor, sway_omega=guide.sway_omega
+    )
 
 
 def synchronised(state: BankState) -> Guide:
@@ -132,7 +136,7 @@ def synchronised(state: BankState) -> Guide:
     x[_SWING] = 0.0
     if state.sway_omega > FASTEST:
         x[_SWAY] = 0.0
-    return Guide(x, _unled(state, P), state.ripple_factor)
+    return Guide(x, _unled(state, P), state.ripple_factor, sway_omega=state.sway_omega)
 
 
 def _unled(state: BankState, P: Array) -> Array:
@@ -143,10 +147,22 @@ def _unled(state: BankState, P: Array) -> Array:
     return P
 
 
-def _predicted(model: BankModel, state: BankState, guide: Guide, dt: float) -> BankState:
-    """Return the guide one step later, (5) and (6), as a state of the bank out of contact."""
+def _predicted(
+    model: BankModel, state: BankState, guide: Guide, omega: float, dt: float
+) -> BankState:
+    """Return the guide one step later, (5) and (6), as a state of the bank out of contact.
+
+    Args:
+        omega: frequency of its sway [rad/s].
+    """
     led = replace(
-        state, x=guide.x, P=guide.P, ripple_factor=guide.ripple_factor, contact=False, rejected={}
+        state,
+        x=guide.x,
+        P=guide.P,
+        ripple_factor=guide.ripple_factor,
+        sway_omega=omega,
+        contact=False,
+        rejected={},
     )
     F = model.transition(led, dt)
     P = F.dot(guide.P).dot(F.T)
