@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linemate.daemon.commissioning.plan.held import strained
 from linemate.daemon.commissioning.plan.phases import disordered
 from linemate.daemon.commissioning.plan.sight import unseen
 from linemate.daemon.config.reading.complaints import Complaint
@@ -24,7 +25,7 @@ from linemate.daemon.core.step import REST_ANGLE, REST_DISTANCE
 from linemate.daemon.core.tracking import linear_axis
 from linemate.daemon.core.tracking.classifiers.distance import stop_delay
 from linemate.daemon.core.tracking.reference import Reference
-from linemate.daemon.core.tracking.task import Gate, Phase, WayHome
+from linemate.daemon.core.tracking.task import Phase, WayHome
 from linemate.daemon.core.tracking.touch.touch_profile import bolts_reach
 from linemate.protocol.stamped_samples import AXES
 
@@ -76,7 +77,7 @@ def rehearse(parameters: Parameters) -> Rehearsal:
         *_pressed(parameters),
         *_touched_early(parameters),
         *_untouched(parameters),
-        *_pulled(parameters),
+        *strained(parameters),
         *_left_close(parameters),
         *_unseen_stops(parameters),
     ]
@@ -283,27 +284,6 @@ def _untouched(parameters: Parameters) -> Iterator[Complaint]:
             f"is felt from {mount.contact_force:g} N on. Set the position of its surface."
         )
         yield Complaint(("waypoints", i, "pose", "position"), what)
-
-
-def _pulled(parameters: Parameters) -> Iterator[Complaint]:
-    """Return a waypoint so far back before the clamp opens that the mount would be overloaded."""
-    task, reference = parameters.tracker.task, parameters.tracker.reference
-    tactile, gates = parameters.tracker.settings.tactile, list(reference.gates)
-    phases = [point.phase for point in task.waypoints]
-    if Phase.CONTACT not in phases or Gate.WHEEL_RELEASED not in gates:
-        return
-    contact, release = phases.index(Phase.CONTACT), gates.index(Gate.WHEEL_RELEASED)
-    touched = min(float(reference.points[contact, 2]), 0.0)
-    for i in range(contact + 1, release + 1):
-        back = touched - float(reference.points[i, 2])
-        if reference.travels[i] and back * tactile.stiffness[2] > tactile.overload_force:
-            what = (
-                f"{1e3 * back:g} mm back from the touch pull with "
-                f"{back * tactile.stiffness[2]:.0f} N at a clamp that opens at waypoints[{release}]"
-                f" (wheel_released), overload is {tactile.overload_force:g} N. Check the sign and "
-                "the unit of position z, and the gate's place."
-            )
-            yield Complaint(("waypoints", i, "pose", "position"), what)
 
 
 def _left_close(parameters: Parameters) -> Iterator[Complaint]:

@@ -125,12 +125,6 @@ def test_bolts_that_reach_the_object_before_the_last_approach_are_reported() -> 
     assert lines(0.2) == []  # the last waypoint is moved out by itself
 
 
-def test_a_pull_at_the_closed_clamp_is_reported_with_its_force() -> None:
-    (what,) = complaints_of(with_position(6, 0.0, 0.0, -0.02))
-    assert what.startswith("waypoints[6].pose.position: 20 mm back from the touch pull with 1000 N")
-    assert complaints_of(with_position(6, 0.0, 0.0, -0.005)) == []
-
-
 def test_a_task_that_ends_at_the_object_is_reported() -> None:
     points = TASK.file.waypoints
     (what,) = complaints_of(replace(TASK.file, waypoints=points[:8]))
