@@ -94,6 +94,8 @@ def main(args: argparse.Namespace) -> int:
 
     if args.files and args.step is None:
         raise UsageError("--from needs --step")
+    if args.skip is not None and args.step is None:
+        raise UsageError("--skip needs --step: it would leave out all steps")
     site = site_files.open_site(args.site, args.config)
     state = site_files.read_state(site)
     if args.list:
