@@ -97,6 +97,13 @@ def test_a_value_that_is_left_to_its_default_does_not_hide_the_order_of_time_out
     assert "watch.missed_s: 1.7 s is longer than watch.link_lost_s: 0.1 s" in line
 
 
+def test_lists_and_maps_are_called_so(write: Write) -> None:
+    (line,) = errors(write('task: wheel.yaml\nrealtime: {cpus: "0-1"}\n'))
+    assert 'realtime.cpus: should be a list, not "0-1"' in line
+    (line,) = errors(write("task: wheel.yaml\nproduction: {variants: {}}\n"))
+    assert "production.variants: should have at least 1 items, not 0" in line
+
+
 def test_an_empty_text_is_refused_in_plain_words(write: Write) -> None:
     assert "1:7: task: should not be empty" in errors(write('task: ""\n'))
 

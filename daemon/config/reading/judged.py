@@ -72,7 +72,7 @@ def schema(target: type[Any], title: str) -> dict[str, Any]:
 
 def _complaint(error: Mapping[str, Any]) -> Complaint | None:
     kind, message, path = error["type"], str(error["msg"]), tuple(error["loc"][1:])
-    if kind in {"too_short", "too_long"} and isinstance(error["input"], list):
+    if kind in {"too_short", "too_long"} and isinstance(error["input"], (list, dict)):
         return _wrong_length(path, error["ctx"], len(error["input"]))
     if kind in {"unexpected_keyword_argument", "extra_forbidden"}:
         return Complaint(path, UNKNOWN_KEY, at_key=True)
@@ -81,6 +81,7 @@ def _complaint(error: Mapping[str, Any]) -> Complaint | None:
     if kind == "string_too_short" and not error["input"]:
         return Complaint(path, "should not be empty")
     what = message.removeprefix("Input ").removeprefix("String ").replace("an object", "a mapping")
+    what = what.replace("a valid array", "a list")
     return Complaint(path, what + _shown(error.get("input")))
 
 
