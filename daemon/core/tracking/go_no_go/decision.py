@@ -112,6 +112,11 @@ TODO: dict[Reason, str] = {
     Reason.BOLTS: "Check the angle of the wheel and of the bolts, and the camera's mounting.",
     Reason.FORCE: "Check the force-torque sensor, and that nothing touches the tool.",
 }
+ALONG_TODO = (
+    "Most of it is along the conveyor: let the object come to rest, identify its sway, and check "
+    "the distance sensor."
+)
+"""For a covariance that the camera does not make."""
 
 
 class GoEvidence(Struct, frozen=True):
@@ -138,6 +143,7 @@ class GoEvidence(Struct, frozen=True):
         turns: the bolts did not enter: the tool backs off, and turns to another angle.
         jams: nor did they at any other angle.
         force: that a tool has which stands where it cannot touch; None for none [N].
+        along: the part of ``deviation`` along the conveyor [m].
     """
 
     sight_s: float
@@ -157,6 +163,7 @@ class GoEvidence(Struct, frozen=True):
     turns: bool = False
     jams: bool = False
     force: float | None = None
+    along: float = 0.0
 
 
 class GoState(Struct, frozen=True):
@@ -301,4 +308,5 @@ def describe(
         Reason.BOLTS: "the bolts enter at none of the angles",
         Reason.FORCE: f"a force of {evidence.force or 0.0:.0f} N without a touch",
     }
-    return f"{whats[reason]}. {TODO[reason]}"
+    is_along = reason is Reason.COVARIANCE and 2.0 * evidence.along**2 > evidence.deviation**2
+    return f"{whats[reason]}. {ALONG_TODO if is_along else TODO[reason]}"

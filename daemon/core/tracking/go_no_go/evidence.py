@@ -146,6 +146,7 @@ def gather(
         turns=state.bolts.is_jammed and not state.bolts.is_over,
         jams=state.bolts.is_over,
         force=state.contact_state.forces[-1] if state.contact_state.doubtful else None,
+        along=view.deviation,
     )
 
 

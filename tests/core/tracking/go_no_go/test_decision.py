@@ -90,6 +90,17 @@ def test_each_reason_is_found_alone_and_named_with_its_value(reason: Reason) -> 
     assert "nan" not in describe(reason, structs.replace(GOOD, sight_s=math.inf), GUARD)
 
 
+@pytest.mark.parametrize(("along", "names_conveyor"), [(0.0005, False), (0.0010, True)])
+def test_a_covariance_along_the_conveyor_is_no_fault_of_the_camera(
+    along: float, *, names_conveyor: bool
+) -> None:
+    evidence = structs.replace(GOOD, deviation=0.0011, along=along)
+    text = describe(Reason.COVARIANCE, evidence, GUARD)
+    assert "three sigma at the contact 3.3 mm" in text
+    assert ("along the conveyor" in text) is names_conveyor
+    assert ("camera" in text) is not names_conveyor
+
+
 def test_a_waiting_tool_names_the_limit_that_it_waits_for() -> None:
     evidence = structs.replace(GOOD, prediction=0.95 * GUARD.tolerance)
     assert find_reasons(evidence, GUARD, waiting=True) == (Reason.PREDICTION,)
