@@ -287,6 +287,23 @@ def test_a_body_that_rings_by_more_pulls_no_harder() -> None:
     assert large == pytest.approx(small, abs=5e-6)
 
 
+def test_a_body_that_rings_by_more_moves_a_known_sway_no_further() -> None:
+    before, _ = in_contact(3.0, 0.0)
+    known = swaying(structs.replace(before, guide=None))
+    P = known.P.copy()
+    P[SWAY, SWAY] = 0.0005**2
+    led = guide.advance(BANK, known, structs.replace(known, P=P), (), DT)
+    way = float(BANK.predict_positions(led, np.array((DT,)))[0])
+    sways = []
+    for off in (0.0, guide.LARGEST_PULL, 0.9 * guide.FARTHEST_FELT):
+        felt = PositionMeasurement(Source.TACTILE, way + off, 0.0, 3e-5**2, 20.0)
+        moved = guide.advance(BANK, led, led, (felt,), DT).guide
+        assert moved is not None
+        sways.append(float(moved.x[SWAY]))
+    assert sways[1] > sways[0] + 2e-5
+    assert sways[2] == pytest.approx(sways[1], abs=5e-6)
+
+
 def test_the_guide_is_never_far_from_where_the_tool_feels_the_object() -> None:
     assert moved_by(0.004) > 0.004 - guide.FARTHEST_FELT
     assert moved_by(-0.004) < guide.FARTHEST_FELT - 0.004

@@ -192,7 +192,7 @@ def _corrected(
     x = led.x + nu * K
     if measurement.source is Source.TACTILE:
         pull = min(max(nu, -LARGEST_PULL), LARGEST_PULL)
-        x[:SWAY] = led.x[:SWAY] + pull * K[:SWAY]
+        x = led.x + pull * K
         far = 0.0 if is_quick else nu - min(max(nu, -FARTHEST_FELT), FARTHEST_FELT)
         x[Y] += far
         x[OFFSET] -= far
