@@ -147,7 +147,6 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     unbearable = [*mount_complaints(config, config.tracking)]
     if unbearable:
         raise FileError(document.lines(unbearable))
-    _refuse_unmounted_camera(config, task)
     _refuse_far_sensor(config, task)
     return LoadedConfig(
         path,
@@ -255,20 +254,6 @@ def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Compla
             f"can state, {largest:.0f} N: no overload would be seen. Set a smaller one."
         )
         yield Complaint(("tracking", "tactile", "overload_force"), what)
-
-
-def _refuse_unmounted_camera(config: Config, task: Task) -> None:
-    """Refuse a camera whose place is left out: at the tcp, where the tool touches the object.
-
-    Raises:
-        FileError: the task has none.
-    """
-    if config.camera is not None and not any(task.file.arm.camera_in_tcp.position):
-        what = (
-            "missing: the camera would be at the tcp, where the tool touches the object. Measure "
-            "its place, with `linemate commission --step camera` or from the drawing."
-        )
-        raise FileError(task.lines([Complaint(("arm", "camera_in_tcp"), what)]))
 
 
 def _refuse_far_sensor(config: Config, task: Task) -> None:

@@ -6,7 +6,6 @@ Invariants:
 - Values of the wrong kind are passed over. ``documents.fill`` refuses them.
 """
 
-import ipaddress
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -78,24 +77,8 @@ def complaints(values: PlainValues, file: RsiConfig, task: TaskFile | None) -> I
         errors += gate_errors(file, task)
     for what in errors:
         yield Complaint(("rsi", "config"), what)
-    bind = values.get("rsi", "bind", kind=str, default="127.0.0.1")
-    if bind is not None and not _is_sent_to(bind, file.ip):
-        what = (
-            f"{bind}, and the controller sends to IP_NUMBER {file.ip} of rsi.config. Both are this "
-            "host's address towards the controller; 0.0.0.0 listens on all."
-        )
-        yield Complaint(("rsi", "bind"), what)
     for tag, what in constant_errors(file, constants):
         yield Complaint(("rsi", "constants", tag), what)
-
-
-def _is_sent_to(bind: str, ip: str) -> bool:
-    """Return whether what a controller sends to an address can come to the one listened on."""
-    try:
-        own, sent = ipaddress.ip_address(bind), ipaddress.ip_address(ip)
-    except ValueError:  # which has its own complaint
-        return True
-    return own == sent or own.is_unspecified or (own.is_loopback and sent.is_loopback)
 
 
 def is_correction(element: Element) -> bool:

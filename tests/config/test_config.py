@@ -80,15 +80,6 @@ def test_a_broken_link_is_no_reason_to_take_a_shipped_file(write: Write, tmp_pat
     assert refused.endswith("wheel.yaml: No such file or directory")
 
 
-def test_a_camera_whose_mount_is_left_out_is_refused(write: Write, tmp_path: Path) -> None:
-    text = (DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if "camera_in_tcp" in line)
-    (tmp_path / "task.yaml").write_text(text.replace(line, ""), encoding="utf-8")
-    (refused,) = errors(write("task: task.yaml\ncamera: {}\n"))
-    assert "arm.camera_in_tcp: missing: the camera would be at the tcp" in refused
-    assert config.load(write("task: task.yaml\n"))
-
-
 def test_a_value_that_is_left_to_its_default_does_not_hide_the_order_of_time_outs(
     write: Write,
 ) -> None:

@@ -84,15 +84,6 @@ def test_two_corrections_on_one_output_are_refused_with_both(lines_of: Lines) ->
     assert 'RECEIVE AK.A3, AK.A4: INDX="3" 2 times. One output of the ETHERNET object' in line
 
 
-def test_the_controller_sends_to_the_address_that_is_listened_on(lines_of: Lines) -> None:
-    sent = SHIPPED.replace("127.0.0.1", "192.168.10.2")
-    (line,) = lines_of(sent)  # the loopback is the default
-    assert "rsi.bind: 127.0.0.1, and the controller sends to IP_NUMBER 192.168.10.2" in line
-    assert len(lines_of(sent, ", bind: 192.168.10.3")) == 1
-    for bind in ("192.168.10.2", "0.0.0.0"):
-        assert lines_of(sent, f", bind: {bind}") == []
-
-
 def test_every_fault_of_an_rsi_file_is_reported_at_once(lines_of: Lines) -> None:
     xml = with_receive(OVERRIDE).replace(DELAY, "").replace('INDX="1" HOLDON="1"', 'INDX="1"'
         ' HOLDON="0"')  # fmt: skip

@@ -197,7 +197,7 @@ class ArmFile:
         linear_axis: the URDF's first joint is the linear axis E1. Which way it counts is its own.
         tcp_in_flange: of the undeflected tool.
         camera_in_tcp: hand-eye calibration, of the undeflected tool: the camera is on the rigid
-            side of the elastic mount. It looks along z of its frame.
+            side of the elastic mount. Where its images have no covariance, z is its line of sight.
         sensor_in_tcp: frame in which the force-torque sensor states its wrench, of the undeflected
             tool. A sensor on the flange has its place and turn here.
         sensor_sign: 1 for a sensor that states the force on the tool: its weight points down, and a

@@ -37,24 +37,14 @@ def test_the_shipped_camera_sees_the_object_at_the_gate_and_before_the_touch() -
     assert complaints_of(TASK.file) == []
 
 
-@pytest.mark.parametrize(
-    "quaternion", [(0.0, 1.0, 0.0, 0.0), (HALF, HALF, 0.0, 0.0), (HALF, 0.0, -HALF, 0.0)]
-)
-def test_a_camera_that_is_turned_away_is_reported_with_its_angle(quaternion: Quaternion) -> None:
-    lines = complaints_of(mounted(TASK.file.arm.camera_in_tcp.position, quaternion))
-    assert lines
-    assert all(line.startswith("arm.camera_in_tcp: at waypoints[") for line in lines)
-    assert "degrees off the camera's z axis" in lines[-1]
+@pytest.mark.parametrize("quaternion", [(0.0, 1.0, 0.0, 0.0), (HALF, HALF, 0.0, 0.0)])
+def test_any_axis_of_a_cameras_frame_may_be_its_line_of_sight(quaternion: Quaternion) -> None:
+    assert complaints_of(mounted(TASK.file.arm.camera_in_tcp.position, quaternion)) == []
 
 
-def test_a_camera_beyond_the_object_sees_nothing() -> None:
-    (line,) = complaints_of(mounted((0.10, 0.0, 0.15)))
-    assert line.startswith("arm.camera_in_tcp: at waypoints[2] the object is 125 degrees off")
-
-
-def test_a_camera_that_is_10_m_away_is_reported_with_the_noise_of_its_images() -> None:
-    lines = complaints_of(mounted((-0.10, 0.0, -10.0)))
-    assert "sigma of an image is 12.3 mm there, limit 3 mm (guard.tolerance)" in lines[-1]
+def test_a_camera_that_is_10_m_away_is_reported_with_its_place() -> None:
+    (line,) = complaints_of(mounted((-0.10, 0.0, -10.0)))
+    assert line.startswith("arm.camera_in_tcp.position: the camera would be 10.00 m from the tcp")
 
 
 def test_a_gate_on_the_camera_in_its_blind_zone_is_reported() -> None:
@@ -70,6 +60,8 @@ def test_a_last_waypoint_that_cannot_be_moved_out_of_the_blind_zone_is_reported(
 
 
 def test_a_task_without_contact_and_gate_needs_no_camera() -> None:
-    file = mounted((0.0, 0.0, 5.0))
-    points = tuple(replace(point, gate=Gate.NONE, phase=Phase.APPROACH) for point in file.waypoints)
-    assert complaints_of(replace(file, waypoints=points)) == []
+    points = tuple(
+        replace(point, gate=Gate.NONE, phase=Phase.APPROACH) for point in TASK.file.waypoints
+    )
+    tracking = TrackingSettings(camera=CameraNoise(blind_below=0.5))
+    assert complaints_of(replace(TASK.file, waypoints=points), tracking) == []
