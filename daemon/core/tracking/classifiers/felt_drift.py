@@ -7,7 +7,6 @@ deflection and the way that it drifts until then.
 Invariants:
 - A body that swings draws nothing: followed with a lead, it would be driven. Each quarter of a
   swing is shorter than ``GROWN_S``, or the deflection has been to both sides of late.
-- No free swing grows to ``SWINGS_ON`` times the one to the other side: such a one is drawn.
 - A deflection that is small and will be draws nothing.
 """
 
@@ -23,7 +22,6 @@ SMOOTHING_S = 0.024  # time constant of the drift [s]
 GROWN_S = 0.09  # for which it has drifted away: a quarter of a period of 2.8 Hz [s]
 SWING_M = 0.0003  # to each side; less is noise [m]
 QUICK_HALF_S = 0.25  # half a period that is no longer than twice the delay of what follows it [s]
-SWINGS_ON = 2.0  # times the deflection to the other side; the touch itself leaves one there
 SWUNG_S = 1.0  # after which a change of side is forgotten: a period of 0.5 Hz is longer [s]
 
 
@@ -37,8 +35,6 @@ class FeltDrift(Struct, frozen=True):
         side: of the last one beyond ``SWING_M``: 1 or -1, 0 before the first one.
         kept_s: since it changed its side [s].
         half_s: for which it was on the side before [s].
-        most: largest one on its side [m].
-        before: largest one on the side before [m].
     """
 
     off: float | None = None
@@ -47,8 +43,6 @@ class FeltDrift(Struct, frozen=True):
     side: int = 0
     kept_s: float = math.inf
     half_s: float = math.inf
-    most: float = 0.0
-    before: float = 0.0
 
     @property
     def is_quick(self) -> bool:
@@ -59,35 +53,28 @@ class FeltDrift(Struct, frozen=True):
 UNFELT = FeltDrift()
 
 
-def observed(before: FeltDrift, off: float, dt: float, correction: float = 0.0) -> FeltDrift:
+def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
     """Return what is known with one more deflection.
 
     Args:
         off: from the guide [m].
         dt: since the one before [s].
-        correction: of the guide in this step, without which it would be larger [m].
     """
     if before.off is None:
         return replace(before, off=off)
     gain = 1.0 - math.exp(-dt / SMOOTHING_S)
-    speed = before.speed + gain * ((off + correction - before.off) / dt - before.speed)
+    speed = before.speed + gain * ((off - before.off) / dt - before.speed)
     grows = speed * before.speed > 0.0 and speed * off > 0.0
     side, kept_s, half_s = before.side, before.kept_s + dt, before.half_s
-    most, other = before.most, before.before
     if abs(off) > SWING_M and side * off <= 0.0:
         kept_s, half_s = (0.0, kept_s) if side else (kept_s, half_s)
         side = 1 if off > 0.0 else -1
-        most, other = 0.0, most
-    most, grows_s = max(most, side * off), before.grows_s + dt if grows else 0.0
-    return FeltDrift(off, speed, grows_s, side, kept_s, half_s, most, other)
+    return FeltDrift(off, speed, before.grows_s + dt if grows else 0.0, side, kept_s, half_s)
 
 
 def share_taken(felt: FeltDrift) -> float:
     """Return the share of a deflection and of its drift that the guide takes up, 0 to 1."""
-    if felt.off is None or felt.grows_s < GROWN_S:
-        return 0.0
-    swings_on = felt.grows_s >= felt.kept_s and abs(felt.off) > SWINGS_ON * felt.before
-    if felt.kept_s < SWUNG_S and not swings_on:
+    if felt.off is None or felt.grows_s < GROWN_S or felt.kept_s < SWUNG_S:
         return 0.0
     ahead = abs(felt.off + AHEAD_S * felt.speed)
     return min(max(ahead - FARTHEST_AHEAD, 0.0) / BAND, 1.0)
@@ -103,4 +90,4 @@ def taken(felt: FeltDrift, share: float) -> FeltDrift:
 
 def moved(felt: FeltDrift) -> FeltDrift:
     """Return what is left as the guide changes its class: the side to which it was."""
-    return replace(felt, off=None, speed=0.0, grows_s=0.0)
+    return FeltDrift(side=felt.side, kept_s=felt.kept_s, half_s=felt.half_s)

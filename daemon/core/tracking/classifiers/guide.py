@@ -98,14 +98,12 @@ def advance(
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
     # A sway that fades keeps its own frequency: turned by a quick one it moved the target by 6 mm.
     omega = state.sway_omega if sways else guide.sway_omega
-    predicted, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
-    led = predicted
+    led, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
     for measurement in measurements:
         corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
-            correction = _deflection(model, predicted, measurement) - off
-            felt = felt_drift.observed(felt, off, before.felt_s + dt, correction)
+            felt = felt_drift.observed(felt, off, before.felt_s + dt)
             if not _is_pushed(state, off):
                 corrected, felt = _drawn(corrected, felt)
         if measurement.source is Source.DISTANCE:
