@@ -244,4 +244,8 @@ def readme(load: Load, has: Has) -> list[tuple[str, str, str]]:
             f" {_spread(summary['force_n'])} N; false alarms: {summary['false_confirmed']}"
         )
         figure_rows.append((f"{label}, {summary['runs']} objects, 12 ms", figures, "plant-floor"))
+    if has(MUJOCO):
+        summary = load(MUJOCO)[MUJOCO]["summary"]
+        figures = f"{outcomes(summary)}; {_spread(summary['impact_mm'])} mm at impact"
+        figure_rows.append(("a station in MuJoCo, 12 ms", figures, MUJOCO))
     return figure_rows

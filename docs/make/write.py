@@ -22,7 +22,7 @@ DOCS = Path(__file__).resolve().parents[1]
 def pages() -> Iterator[tuple[Path, str]]:
     """Yield every generated file and its text."""
     named = ("../README.md", "accuracy.md", "commission-steps.md", "contact.md",
-             "fault-catalogue.md", "interop.md", "performance.md", "production.md",
+             "fault-catalogue.md", "interop.md", "mujoco.md", "performance.md", "production.md",
              "reliability.md", "world.md")  # fmt: skip
     for page in ((DOCS / name).resolve() for name in named):
         yield page, results.filled(page.read_text(encoding="utf-8"))
