@@ -42,7 +42,7 @@ def answered(call: Callable[..., object], *args: object) -> object:
     [
         ("robot", "e6d3652258ed2717"),
         ("reply", "d923188e7a682cee"),
-        ("config", "2c73cbce533a577a"),
+        ("config", "ab5ff65aacdd4e4a"),
         ("camera", "dfcffcbd6c701c36"),
         ("distance", "fab9c4e2b742ba24"),
         ("bota", "1317e755f72b8679"),
