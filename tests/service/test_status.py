@@ -115,7 +115,8 @@ def test_a_payload_that_weighs_other_than_configured_is_a_complaint(
 ) -> None:
     free = Wrench(np.array((shown, 0.0, 0.0)), np.zeros(3), 0, 1)
     mount, payload = app.cycle.parameters.tracker.settings.tactile, PayloadSettings(mass=20.0)
-    hung = tare.updated(tare.NO_TARE, free, (1.0, 0.0, 0.0), payload, mount, 0.012)
+    down = (1.0, 0.0, 0.0)
+    hung = tare.updated(tare.NO_TARE, free, down, down, payload, mount, 0.012)
     complaints = complained(app, monkeypatch, hung, 0.0)
     assert any("196 N by tracking.payload.mass" in each for each in complaints) is is_complaint
 
