@@ -44,12 +44,20 @@ def test_a_result_that_was_not_measured_is_a_dash_and_no_claim() -> None:
 
 def test_the_plant_floor_is_shown_against_its_bars() -> None:
     stored = world_results.condensed(raw("plant-floor", "plant-floor-harsh"))
-    table = world_results.floor(lambda _: stored, lambda name: name == "plant-floor")
+    stored_floor = "plant-floor".__eq__
+    table = world_results.floor(lambda _: stored, stored_floor)
     assert "[12 ms](results/plant-floor.json)" in table
     assert "| total error at impact, mm | 0.35 (0.8) | 0.3 (0.3) | 0.3 (0.3) |" in table
     assert "missed" in table
-    labels = [label for label, *_ in world_results.readme(lambda _: stored, lambda _: True)]
+    labels = [label for label, *_ in world_results.readme(lambda _: stored, stored_floor)]
     assert labels == ["a plant floor, 2 objects, 12 ms", "a harsh one, 2 objects, 12 ms"]
+
+
+def test_the_second_station_is_shown_against_its_bar() -> None:
+    stored = world_results.condensed(raw("mujoco"))
+    assert "| total error at impact, mm | 0.5 | 0.3 (0.3) |" in world_results.second(
+        lambda _: stored
+    )
 
 
 def test_every_size_of_the_page_is_read_from_both_scenarios() -> None:
