@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.observation import Wrench
 from linemate.daemon.core.tracking.settings import PayloadSettings, TactileNoise
 from linemate.daemon.core.tracking.touch import tare
@@ -49,7 +50,7 @@ def test_a_bias_is_no_weight(free: Wrench) -> None:
     assert hung(free).sag is None
 
 
-def turned(weight: float, bias: float, angle: float, noise: float = 0.0) -> Tare:
+def turned(weight: float, bias: float | Array, angle: float, noise: float = 0.0) -> Tare:
     """A tool that hangs in the nominal orientation for 1 s, turns within 1 s, and hangs for 2 s."""
     state, generator = NO_TARE, np.random.default_rng(0)
     for step in range(333):
@@ -67,6 +68,12 @@ def test_a_tool_zeroed_with_its_part_hangs_otherwise_when_turned(bias: float) ->
     assert sag is not None
     assert sag[1] == pytest.approx(WEIGHT * np.sin(0.06) / 50e3, rel=0.1)
     assert abs(sag[2]) < 1e-6
+
+
+def test_a_weight_that_turned_is_not_compared_with_a_configured_one() -> None:
+    state = turned(WEIGHT, np.array((0.0, 60.0, 0.0)), 0.06)
+    assert state.sag is not None
+    assert tare.shown_weight(state, MOUNT) is None
 
 
 @pytest.mark.parametrize(("weight", "angle"), [(-WEIGHT, 0.06), (0.0, 0.06), (WEIGHT, 0.0)])

@@ -84,6 +84,7 @@ class Tare(Struct, frozen=True, eq=False):
         part: (6,) deflection of the mount by the part that the object keeps [m, rad], None if its
             weight is not known. ``share`` and ``borne`` are of that, then.
         turning: of the tool in its approach.
+        is_turned: the sag is of a weight that turned alone, not of the whole weight.
         empty: (3,) mean force of the tool since it released the wheel [N], None before.
         emptied: time since then [s].
     """
@@ -97,6 +98,7 @@ class Tare(Struct, frozen=True, eq=False):
     emptied: float = 0.0
     part: Array | None = None
     turning: Turning = UNTURNED
+    is_turned: bool = False
 
 
 NO_TARE = Tare()
@@ -140,11 +142,12 @@ def updated(
         mean = tare.wrench + (dt / MEAN_S) * (mean - tare.wrench)
     x, y, z = (a - b for a, b in zip(down, nominal, strict=True))
     turning = turned(tare.turning, (raw[0], raw[1], raw[2]), (x, y, z), dt / MEAN_S)
-    sag = _sag(mean, down, payload, stiffness)
-    if sag is None:
-        weight = min(turned_weight(turning), mount.overload_force)
-        sag = _turned_sag(weight, (x, y, z), stiffness)
-    return Tare(mean, sag, part=_part(down, payload, mount), turning=turning)
+    sag, part = _sag(mean, down, payload, stiffness), _part(down, payload, mount)
+    if sag is not None:
+        return Tare(mean, sag, part=part, turning=turning)
+    weight = min(turned_weight(turning), mount.overload_force)
+    sag = _turned_sag(weight, (x, y, z), stiffness)
+    return Tare(mean, sag, part=part, turning=turning, is_turned=sag is not None)
 
 
 def turned(before: Turning, force: Vector3, turn: Vector3, share: float) -> Turning:
@@ -217,7 +220,8 @@ def shows_weight(tare: Tare, mount: TactileNoise) -> bool:
 
 def shown_weight(tare: Tare, mount: TactileNoise) -> tuple[float, float] | None:
     """Return the weight by the sensor and the known one [N], None if the sensor shows none."""
-    if tare.wrench is None or tare.sag is None:
+    # The whole weight of a tool that was zeroed with it on is not shown.
+    if tare.wrench is None or tare.sag is None or tare.is_turned:
         return None
     force, weight = tare.wrench[:3], tare.sag[:3] * np.array(mount.stiffness)
     size, known = float(np.linalg.norm(force)), float(np.linalg.norm(weight))
