@@ -62,7 +62,7 @@ class MatingPoses:
         tool: tcp in the hub's frame: position [m], then rotation vector [rad].
         wheel: position of the wheel in the hub's frame [m].
         tool_in_wheel: position of the tcp in the wheel's frame [m].
-        touch_n: force between wheel and hub, the screws' not counted [N].
+        touch_n: force that the hub puts on the wheel, by contact and screws together [N].
         mount_n: force on the mount beyond the weight it was zeroed with [N].
         mount_nm: torque on it, likewise [Nm].
     """

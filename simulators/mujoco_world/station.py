@@ -129,14 +129,23 @@ class MujocoStation:
         return wrench
 
     def touch_n(self) -> float:
-        """Return the force between wheel and hub in the last time step [N]."""
+        """Return the force that the hub put on the wheel in the last time step [N].
+
+        Screws that draw a wheel in press it against the hub: the two forces of this pair cancel
+        and load neither the robot nor the body.
+        """
         data = self.data
-        if not data.ncon:
-            return 0.0
         total, force = np.zeros(3), np.zeros(6)
         for n in range(data.ncon):
             mujoco.mj_contactForce(self.model, data, n, force)
-            total += data.contact[n].frame.reshape(3, 3).T @ force[:3]
+            contact = data.contact[n]
+            # MuJoCo orders the two geometries by their kind: the force is that on the second.
+            sign = 1.0 if self.model.geom_bodyid[contact.geom2] == self.wheel else -1.0
+            total += sign * (contact.frame.reshape(3, 3).T @ force[:3])
+        is_weld = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        screws = data.efc_force[is_weld & (data.efc_id == self.screws)]
+        if len(screws):
+            total -= screws[:3]
         return float(np.linalg.norm(total))
 
     def power(self) -> float:

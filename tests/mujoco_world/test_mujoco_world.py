@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from linemate.simulators.mujoco_world.frame_poses import vector_of
+from linemate.simulators.mujoco_world.mating import FIX_SCREWS
 from linemate.simulators.mujoco_world.mujoco_cell import DrivenRamp, MujocoCell, RunOrder, sample
 
 pytest.importorskip("mujoco", reason="the extra 'mujoco' is not installed")
@@ -134,8 +135,12 @@ def test_the_body_yields_to_the_robot() -> None:
     assert station.energy() > 0.0
 
 
-def _press(station: MujocoWorld) -> float:
-    """Move the tool against the hub, at 25 mm/s in the end; return the force on the mount [N]."""
+def _press(station: MujocoWorld, aside: float = 0.0) -> float:
+    """Move the tool against the hub, at 25 mm/s in the end; return the force on the mount [N].
+
+    Args:
+        aside: of the hub's y at the end [m].
+    """
     solver = world()
     goal, turn = station.hub_pose()[:3, 3], station.hub_pose()[:3, :3]
     before = _axes_at(solver, goal - 0.060 * turn[:, 2], turn, np.array(START))
@@ -145,7 +150,9 @@ def _press(station: MujocoWorld) -> float:
     axes = before
     for cycle in range(120, 340):
         depth = min(0.003, -0.060 + 0.0003 * (cycle - 120))
-        axes = _axes_at(solver, goal + depth * turn[:, 2], turn, axes)
+        across = aside * max(0.0, cycle - 320) / 20.0
+        place = goal + depth * turn[:, 2] + across * turn[:, 1]
+        axes = _axes_at(solver, place, turn, axes)
         _go(station, cycle, axes)
     return float(np.linalg.norm(np.array(station.deflection()[:3]) * station.mount_stiffness[:3]))
 
@@ -179,3 +186,13 @@ def test_a_pressed_wheel_comes_to_rest_on_the_bolts() -> None:
     assert np.linalg.norm(np.std(late, axis=0)) < 0.3 * np.linalg.norm(np.std(touching, axis=0))
     assert np.linalg.norm(np.std(late, axis=0)) < 3.0 * station.cell.sensors.force_sigma
     assert np.linalg.norm(np.mean(late, axis=0)) > 20.0
+
+
+def test_the_hub_loads_a_wheel_that_screws_draw_in_as_much_as_the_mount() -> None:
+    station = world(swing_of(4.7, 0.05), nominal_speed=1e-5, ramps=(), duration_s=12.0)
+    _press(station, aside=0.003)
+    station.digital_out(FIX_SCREWS)
+    station.advance(11.0)
+    assert station.screws_fixed_s is not None
+    on_mount = np.linalg.norm(np.array(station.deflection()[:3]) * station.mount_stiffness[:3])
+    assert station._station.touch_n() == pytest.approx(on_mount, rel=0.05)
