@@ -107,7 +107,8 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
     "oracle": ("linemate-sim campaign --seeds 40 --variants oracle --json", campaign),
     "verified": ("linemate-sim campaign --seeds 40 --first-seed 1000 --json", campaign),
     "without": (
-        "linemate-sim campaign --seeds 8 --variants default,no-prediction,no-classes --json",
+        "linemate-sim campaign --seeds 8 --variants default,no-prediction,no-classes"
+        " --set scenario.duration_s=26 --json",
         campaign,
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
