@@ -116,7 +116,7 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         for i in range(len(views))
     ]
     fit = swing.find_swings(seen, camera)
-    servos = identify_servos(traces)
+    servos = identify_servos(traces, [recorded.name for recorded in recordings])
     modes = identify_modes(traces)
     swings = identify_swings(fit, seen)
     vision = identify_camera(fit, seen, [trace.images for trace in traces])

@@ -4,7 +4,8 @@
 
 Invariants:
 - Each axis is fitted by itself, with all recordings together.
-- An axis is refused if its motion cannot separate the frequency from the dead time.
+- An axis is refused if its motion cannot separate the frequency from the dead time, and if its
+  recordings show different servos.
 - A friction that the motion does not show is refused, and its servo stays as it was fitted.
 """
 
@@ -73,11 +74,12 @@ class RubbingAxis:
     level: Outcome
 
 
-def identify_servos(traces: Sequence[Trace]) -> tuple[ServoResult, ...]:
+def identify_servos(traces: Sequence[Trace], names: Sequence[str] = ()) -> tuple[ServoResult, ...]:
     """Return every axis' servo.
 
     Args:
         traces: of one cell, at one cycle time.
+        names: of their recordings, for refusals.
     """
     if not traces:
         return ()
@@ -85,25 +87,56 @@ def identify_servos(traces: Sequence[Trace]) -> tuple[ServoResult, ...]:
     cycle_s = float(np.mean([trace.cycle_s for trace in traces]))
     return tuple(
         _identified(
-            axis, [Passage(t.commands[:, axis], t.answers[:, axis]) for t in traces], cycle_s
+            axis, [Passage(t.commands[:, axis], t.answers[:, axis]) for t in traces], cycle_s, names
         )
         for axis in range(axes)
     )
 
 
-def _identified(axis: int, passages: Sequence[Passage], cycle_s: float) -> ServoResult:
+def _identified(
+    axis: int, passages: Sequence[Passage], cycle_s: float, names: Sequence[str]
+) -> ServoResult:
     """Return one axis: friction is taken out before its servo is judged."""
     fit = servo_fit.fit(passages, cycle_s)
     if fit is None or fit.motion < LEAST_LAG:
-        refusal = _refusal(fit) or Refusal("too few answers in the recording")
-        return ServoResult(axis, None, refusal, refusal, refusal, AxisFriction(), refusal)
+        unmoved = _refusal(fit) or Refusal("too few answers in the recording")
+        return ServoResult(axis, None, unmoved, unmoved, unmoved, AxisFriction(), unmoved)
     rubbing = identify_friction(passages, fit, cycle_s)
-    return _judged(axis, rubbing)
+    refusal = _refusal(rubbing.fit)
+    if refusal is not None:
+        refusal = _contradiction(passages, cycle_s, names) or refusal
+    return _judged(axis, rubbing, refusal)
 
 
-def _judged(axis: int, rubbing: RubbingAxis) -> ServoResult:
+def _contradiction(
+    passages: Sequence[Passage], cycle_s: float, names: Sequence[str]
+) -> Refusal | None:
+    """Return that recordings show different servos: each alone is accepted, together they are not.
+
+    What together they leave looks like noise of long correlation, so that nothing would be known.
+    """
+    fits = [servo_fit.fit([passage], cycle_s) for passage in passages]
+    known = [
+        (_lag_ms(fit.model), name)
+        for fit, name in zip(fits, names, strict=False)
+        if fit is not None and _refusal(fit) is None
+    ]
+    if len(known) < 2:
+        return None
+    (least, earlier), (most, later) = min(known), max(known)
+    return Refusal(
+        f"the recordings show different servos: {least:.1f} ms late in {earlier}, {most:.1f} ms in "
+        f"{later}. Identify from recordings of one arm with one setting of its controller"
+    )
+
+
+def _lag_ms(model: ServoModel) -> float:
+    """Return how late an axis follows a ramp."""
+    return 1e3 * (model.dead_time + model.damping / (math.pi * model.frequency_hz))
+
+
+def _judged(axis: int, rubbing: RubbingAxis, refusal: Refusal | None) -> ServoResult:
     fit, friction, level = rubbing.fit, rubbing.friction, rubbing.level
-    refusal = _refusal(fit)
     if refusal is not None:
         return ServoResult(axis, None, refusal, refusal, refusal, friction, level)
     deviations = _deviations(fit)
@@ -137,7 +170,11 @@ def _refusal(fit: ServoFit | None) -> Refusal | None:
     for name, deviation, limit, unit, scale in shares:
         if not deviation <= limit:
             known = f"+-{scale * deviation:.2g} {unit}".rstrip()
-            return Refusal(f"not enough excitation: its {name} is known only to {known}")
+            return Refusal(
+                f"not enough excitation: its {name} is known only to {known}, at most "
+                f"{scale * limit:g} {unit}".rstrip()
+                + ". Record more brisk moves of this axis: linemate commission --step servos"
+            )
     if fit.residual > MISFIT * fit.motion:
         share = fit.residual / fit.motion
         return Refusal(f"a second-order servo leaves {100.0 * share:.0f} % of the lag unexplained")

@@ -57,4 +57,5 @@ def order_of(scenario: Scenario) -> RunOrder:
             for event in scenario.events
         ),
         hub=scenario.body.nominal,
+        cell_seed=scenario.cell_seed,
     )

@@ -168,6 +168,9 @@ def _initial_setup(plan: IdentificationPlan, name: str) -> Setup:
     truth = _truth(name, cell, plan.scenario)
     if plan.cycle_ms is not None:
         truth = replace(truth, cycle_s=round(plan.cycle_ms * 1e-3, 9))
+    # The recordings are of one cell: servos that are drawn again contradict each other.
+    if truth.cell_seed is None:
+        truth = replace(truth, cell_seed=plan.seed)
     truth = families.truth(plan.controller, truth)
     setup = Setup(
         truth,

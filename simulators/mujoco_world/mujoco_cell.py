@@ -248,6 +248,7 @@ class RunOrder:
         start: axes at the beginning, A1..A6 [rad], E1 [m].
         nominal_speed: of the conveyor [m/s].
         hub: nominal place of the hub at conveyor reading 0, in base [m].
+        cell_seed: of what stays from car to car: all but the body; None: the seed.
     """
 
     seed: int
@@ -258,6 +259,7 @@ class RunOrder:
     nominal_speed: float
     ramps: tuple[DrivenRamp, ...]
     hub: Three
+    cell_seed: int | None = None
 
 
 _Part = TypeVar("_Part", Car, Line, ArmDrives, Tool, Sensors)
@@ -301,16 +303,19 @@ class _Draw:
         return (x, y, z)
 
 
-def sample(seed: int, cell: MujocoCell) -> MujocoCell:
+def sample(seed: int, cell: MujocoCell, cell_seed: int | None = None) -> MujocoCell:
     """Draw what the station leaves open.
+
+    Args:
+        cell_seed: of all but the body; None: the seed.
 
     Returns:
         A station without open values.
     """
-    draw = _Draw(seed)
+    draw = _Draw(seed if cell_seed is None else cell_seed)
     return replace(
         cell,
-        car=_drawn(cell.car, _car(draw)),
+        car=_drawn(cell.car, _car(_Draw(seed))),
         line=_drawn(cell.line, _line(draw)),
         arm=_drawn(cell.arm, _arm(draw)),
         tool=_drawn(cell.tool, _tool(draw)),

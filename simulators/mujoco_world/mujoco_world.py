@@ -49,7 +49,7 @@ class MujocoWorld:
 
     def __init__(self, cell: MujocoCell, order: RunOrder) -> None:
         """Set everything up at rest, the conveyor at its speed."""
-        self.cell = cell = sample(order.seed, cell)
+        self.cell = cell = sample(order.seed, cell, order.cell_seed)
         self.order = order
         self._station = MujocoStation(cell, order)
         self._drives = Drives(cell.arm, order.start, order.cycle_s, TIMESTEP_S)

@@ -359,7 +359,8 @@ class Scenario:
         cycle_s: the controller's cycle [s].
         lead_in_s: the run starts this long before t = 0 [s].
         duration_s: scenario time at the latest end [s].
-        cell_seed: of what stays from car to car: the arm's zeros and links; None: the seed.
+        cell_seed: of what stays from car to car: the arm's zeros and links, and the MuJoCo
+            station but for its body; None: the seed.
     """
 
     name: str = "wheel"

@@ -1,5 +1,8 @@
 """Servos of whole recordings: with their deviation, or refused with the reason."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from traces import CYCLE_S, answers, trace, wander
@@ -37,6 +40,16 @@ def test_a_slow_drift_under_noise_cannot_tell_frequency_from_dead_time() -> None
     for result in results:
         assert isinstance(result.frequency_hz, Refusal)
         assert "not enough excitation" in result.frequency_hz.reason
+
+
+def test_recordings_of_two_controllers_are_refused_by_name() -> None:
+    later = [replace(axis, dead_time_s=axis.dead_time_s + 0.003) for axis in AXES]
+    together = [trace(COMMANDS, ANSWERS), trace(COMMANDS, answers(tuple(later), COMMANDS))]
+    result = identify_servos(together, ("monday.mcap", "friday.mcap"))[0]
+    assert isinstance(result.frequency_hz, Refusal)
+    late = 1e3 * (AXES[0].dead_time_s + AXES[0].damping / (math.pi * AXES[0].frequency_hz))
+    assert f"{late:.1f} ms late in monday.mcap" in result.frequency_hz.reason
+    assert f"{late + 3.0:.1f} ms in friday.mcap" in result.frequency_hz.reason
 
 
 def test_answers_of_something_else_are_refused() -> None:

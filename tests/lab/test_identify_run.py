@@ -11,6 +11,7 @@ from linemate.daemon.config.files import DAEMON_DATA
 from linemate.daemon.identification.outcome import Estimate, Refusal
 from linemate.daemon.identification.pipeline import Identified
 from linemate.daemon.operator import identify_command
+from linemate.simulators.devices.worlds import WORLDS, order_of
 from linemate.simulators.harness import setup
 from linemate.simulators.lab import exercise, identify_run
 from linemate.simulators.lab.identify_run import IdentificationPlan
@@ -79,6 +80,14 @@ def test_the_overlay_is_what_the_command_line_writes_and_a_run_accepts(
     assert made.control.servos[0].frequency_hz == read["control"]["servos"][0]["frequency_hz"]
     assert made.tracking.swing[0].levers == tuple(read["tracking"]["swing"][0]["levers"])
     assert made.scenario == setup.make("wheel").scenario
+
+
+def test_recordings_of_one_identification_are_of_one_cell() -> None:
+    for scenario in ("identify", "wheel"):
+        for world in WORLDS:
+            plan = replace(PLAN, world=world, seed=11, overrides=())
+            order = order_of(identify_run._initial_setup(plan, scenario).scenario)
+            assert order.cell_seed == 11
 
 
 def test_the_exercise_is_a_valid_task_that_turns_and_touches_nothing() -> None:

@@ -47,6 +47,15 @@ def swing_of(hz: float, damping: float = 0.01) -> MujocoCell:
     return replace(cell, car=car, line=line)
 
 
+def test_a_cell_keeps_its_station_and_gets_other_bodies() -> None:
+    first, second = (world(seed=seed, cell_seed=7).cell for seed in (3, 4))
+    assert (first.arm, first.line, first.tool, first.sensors) == (
+        second.arm, second.line, second.tool, second.sensors,
+    )  # fmt: skip
+    assert first.car != second.car
+    assert world(seed=7).cell.arm == first.arm
+
+
 def test_a_seed_gives_the_same_run() -> None:
     one, other = world(), world()
     one.advance(0.5)
