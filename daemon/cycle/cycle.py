@@ -381,15 +381,18 @@ class Cycle(RestingStepper):
         """Return a reply without a setpoint: the controller keeps the one that it has."""
         self.end_rest()
         ready, self._ready = self._ready, None
-        if ready is not None:
+        # The step was decided on as if the robot would be led in this cycle.
+        self.operating.is_reply_lost |= ready is not None
+        if ready is not None and steps > 0:
             self._add_unsent(ready)
-            steps -= 1
-            # The step was decided on as if the robot would be led in this cycle.
-            self.operating.is_reply_lost = True
+            ready, steps = None, steps - 1
         if self._state is not None and steps > 0:
             self._catch_up(stamp_ns, steps)
             self._step_unsent(self._state, stamp_ns)
         self.session.refrain()
+        if ready is not None:
+            # The clock made the step of this telegram. The prepared one is the next cycle's.
+            self._ready = self._confirmed(ready)
         signals = 0 if self.last is None or self._state is None else self.last.outputs.digital_out
         # A bit that says in sync must not stay set while the robot is not led.
         has_bit = self.operating.settings.in_sync_bit is not None

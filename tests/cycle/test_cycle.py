@@ -794,6 +794,30 @@ def test_after_an_unreadable_telegram_and_its_bare_reply_the_motion_goes_on_from
     assert station.cycle.machine.state is (State.FAULT if lost == 1 else State.TRACK)
 
 
+def test_a_late_telegram_with_a_bare_reply_keeps_the_prepared_step_for_the_next_cycle(
+    moving: Station,
+) -> None:
+    cycle = moving.cycle
+    assert cycle.prepare(moving.stamp_ns)
+    before = cycle.steps - 1  # without the step of this cycle
+    for made in range(1, 30):
+        cycle.on_missing(moving.stamp_ns)
+        assert cycle.prepare(moving.stamp_ns + PERIOD)
+        late = moving.telegram().replace(b'A4="', b'A4="?', 1)
+        assert cycle.on_telegram(late, moving.stamp_ns + PERIOD // 2 + 1_000_000)
+        assert cycle.ready_reply is None  # the robot does not get this one's command
+        assert cycle.steps == before + made + 1
+        assert not cycle.prepare(moving.stamp_ns + PERIOD)
+        moving.next()
+        moving.delay += 1
+    held = moving.axes
+    while bare(moving):
+        pass
+    moved = np.array(cycle.session.held) - held
+    limits = moving.parameters.controller.limits
+    assert (np.abs(moved) <= limits.jerk * 0.012**3 * 1.001 + 1e-9).all()
+
+
 def test_telegrams_that_are_unreadable_for_a_second_are_all_answered(station: Station) -> None:
     station.track(80)
     held = station.axes
