@@ -19,7 +19,7 @@ from linemate.daemon.core.tracking.classifiers import (
     classifier_bank,
     onset_bank,
 )
-from linemate.daemon.core.tracking.classifiers.bank_filter import SETTLING
+from linemate.daemon.core.tracking.classifiers.bank_filter import FROZEN_S, MOST_REJECTED, SETTLING
 from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
@@ -728,6 +728,23 @@ def test_a_step_of_a_coarse_distance_sensor_leaves_the_object_where_it_was(
     assert state.x[Y] == pytest.approx(NOMINAL * t, abs=2e-3)
     assert state.x[OFFSET] == pytest.approx(size, abs=4e-3)
     assert state.age == pytest.approx(t)
+
+
+def test_a_coarse_distance_sensor_that_repeats_itself_is_not_frozen() -> None:
+    """Its step of 30 mm was rejected for so long that it was taken for a speed of 0.22 m/s."""
+    deviation, cycle_s, stepped_s = 0.004, 0.01, 2.4056  # just when the reading changes
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), deviation)
+    state, rejected = bank.initial(0.0), 0
+    for k in range(1, 260):
+        t = k * cycle_s
+        read = round(1e2 * (NOMINAL * t + (0.03 if t > stepped_s else 0.0))) / 1e2
+        row = PositionMeasurement(Source.DISTANCE, read, 0.0, deviation**2, 5.0)
+        before, state = state, bank.advance(state, [row], cycle_s)
+        rejected = max(rejected, state.rejected.get(Source.DISTANCE, 0))
+        if takes_again(before, state):
+            break
+    assert rejected == MOST_REJECTED - 1
+    assert t - stepped_s < FROZEN_S
 
 
 @pytest.mark.parametrize("seed", range(4))

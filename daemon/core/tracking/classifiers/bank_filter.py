@@ -251,7 +251,9 @@ def correct(
         if not abs(nu) <= gate and not _is_plausible(model, state, nu, -off[_FIRST:middle], gate):
             rejections = rejected.get(measurement.source, 0) + 1
             rejected = {**rejected, measurement.source: rejections}
-            is_faulty = _is_frozen(state, measurement) or _runs_back(model, state, measurement)
+            is_faulty = _is_frozen(model, state, measurement) or _runs_back(
+                model, state, measurement
+            )
             may_widen = abs(nu) < FARTHEST and not is_faulty
             if rejections >= MOST_REJECTED and may_widen:
                 state = replace(state, x=J[:, STATES], P=J[:, :STATES])
@@ -284,7 +286,7 @@ def correct(
     )
 
 
-def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
+def _is_frozen(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
     """Return whether the distance sensor repeats itself while the conveyor runs.
 
     No conveyor stands from one reading to the next. The sensor's health needs longer to exclude it
@@ -296,7 +298,9 @@ def _is_frozen(state: BankState, measurement: PositionMeasurement) -> bool:
     if measurement.source is not Source.DISTANCE:
         return False
     since = float(ages[values != measurement.value].min(initial=math.inf))
-    return abs(speed) * since > FROZEN_WAY and since < FROZEN_S
+    # A sound sensor repeats itself for a step of its resolution, which is sqrt(12) of its noise.
+    way = max(FROZEN_WAY, math.sqrt(12.0) * model.distance_deviation)
+    return abs(speed) * since > way and since < FROZEN_S
 
 
 def _runs_back(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
