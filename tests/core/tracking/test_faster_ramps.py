@@ -5,7 +5,8 @@ import pytest
 from conveyor_truth import START, STOP, Story, Truth, tell
 from msgspec.structs import replace
 
-from linemate.daemon.core.tracking.classifiers import onset_bank
+from linemate.daemon.core.tracking.classifiers import classifier_bank, guide, onset_bank
+from linemate.daemon.core.tracking.classifiers.bank_model import ACCELERATION, STATES, BankState, V
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 from linemate.daemon.core.tracking.settings import BankSettings, DistanceNoise, FusionSettings
@@ -34,6 +35,45 @@ def test_a_start_faster_than_stated_is_followed(share: float, most: float) -> No
 def test_a_classifier_of_stated_ramps_alone_loses_millimetres_of_a_fast_start() -> None:
     truth, story = started(AS_STATED, 6.0, 0)
     assert np.abs(story.position_errors(truth, ONSET)).max() > 3e-3
+
+
+def test_a_stop_three_times_as_fast_as_stated_is_followed_soon_after_it_is_confirmed() -> None:
+    largest = []
+    for seed in range(12):
+        truth = Truth(2.6, ((1.0, -3.0 * STOP),), seed=seed)
+        story = tell(BANK, truth)
+        largest.append(np.abs(story.position_errors(truth, 1.0)).max())
+    assert np.mean(largest) < 1.6e-3
+    assert max(largest) < 3.5e-3
+
+
+def confirmed(seed: int) -> BankState:
+    """A stop that is three times as fast as stated and was just confirmed as a stated one."""
+    story = tell(BANK, Truth(2.6, ((1.0, -3.0 * STOP),), seed=seed))
+    states: list[BankState] = story.states
+    return next(state for state in states if state.faster is not None)
+
+
+def test_a_faster_change_stays_what_it_is_as_an_impulse_is_accepted() -> None:
+    state = confirmed(0)
+    assert state.faster is not None
+    pushed = np.full(STATES, 1e-3)
+    after = classifier_bank.against_impulse(state.faster, 3.0, pushed)
+    before = state.faster.posterior()
+    share = float(before.amplitudes[0])
+    assert after.posterior().odds == pytest.approx(before.odds - 3.0)
+    estimates = state.x - share * state.faster.bank.error[:, 0], state.x + pushed
+    assert estimates[1] - after.bank.error[:, 0] == pytest.approx(estimates[0])
+
+
+def test_a_guide_takes_over_a_change_that_turns_out_to_be_a_faster_one() -> None:
+    state = confirmed(0)
+    before = replace(state, contact=True, guide=guide.synchronised(state))
+    x = state.x.copy()
+    x[V], x[ACCELERATION] = 0.05, -0.3
+    led = guide.advance(BANK, before, replace(before, x=x, is_faster=True), [], 0.012).guide
+    assert led is not None
+    assert (led.x[V], led.x[ACCELERATION]) == pytest.approx((0.05, -0.3))
 
 
 def test_a_stop_within_a_start_faster_than_stated_is_confirmed() -> None:

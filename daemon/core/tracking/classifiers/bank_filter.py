@@ -24,6 +24,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     SWAY_QUADRATURE,
     BankModel,
     BankState,
+    FasterChange,
     Guide,
     V,
     Y,
@@ -113,9 +114,18 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
         class_age=state.class_age + dt,
         impulse_age=state.impulse_age + dt,
         announced_s=state.announced_s + dt,
+        is_faster=False,
+        faster=state.faster and _later(state.faster, F, dt),
         events=(),
     )
     return _end_class(model, state)
+
+
+def _later(faster: FasterChange, F: Array, dt: float) -> FasterChange:
+    """Return the hypothesis of a faster change one step later."""
+    sums = faster.bank.sums.copy()
+    sums[2] += dt
+    return replace(faster, bank=OnsetBank(F.dot(faster.bank.error), sums))
 
 
 def _end_class(model: BankModel, state: BankState) -> BankState:
@@ -223,11 +233,12 @@ def correct(
     its signature that F does not propagate.
     """
     changes, impulses, rejected = state.changes, state.impulses, state.rejected
-    announced_s = state.announced_s
+    announced_s, faster = state.announced_s, state.faster
     count, has_impulses = len(changes), len(impulses) > 0
-    middle = _FIRST + count
-    J = np.concatenate((state.P, state.x[:, None], changes.error, impulses.error), axis=1)
-    sums = np.concatenate((changes.sums, impulses.sums), axis=1)
+    middle, both = _FIRST + count, count + len(impulses)
+    banks = (changes, impulses) if faster is None else (changes, impulses, faster.bank)
+    J = np.concatenate((state.P, state.x[:, None], *[bank.error for bank in banks]), axis=1)
+    sums = np.concatenate([bank.sums for bank in banks], axis=1)
     A, B = sums[0], sums[1]
     change = model.changes[state.motion]
     for measurement in measurements:
@@ -243,7 +254,7 @@ def correct(
             way = model.acted_way(state, measurement.delay, ages, measurement.source)
             minus_rho[:later] += change * (acted - way)
         if has_impulses and measurement.source is not Source.DISTANCE:
-            minus_rho[count:] -= model.delayed_response(
+            minus_rho[count:both] -= model.delayed_response(
                 impulses.age, measurement.delay, impulses.omega
             )
         gate = measurement.gate * math.sqrt(S)
@@ -278,7 +289,8 @@ def correct(
         x=x,
         P=J[:, :STATES],
         changes=OnsetBank(J[:, _FIRST:middle], sums[:, :count], changes.shares),
-        impulses=OnsetBank(J[:, middle:], sums[:, count:], impulses.shares),
+        impulses=OnsetBank(J[:, middle : _FIRST + both], sums[:, count:both], impulses.shares),
+        faster=faster and replace(faster, bank=OnsetBank(J[:, _FIRST + both :], sums[:, both:])),
         rejected=rejected,
         ripple_factor=factor,
         sway_omega=omega,
@@ -417,6 +429,7 @@ def clear_banks(state: BankState) -> BankState:
         distance_odds=None,
         tentative=False,
         is_expired=False,
+        faster=None,
     )
 
 

@@ -87,6 +87,29 @@ class Guide(Struct, frozen=True, eq=False):
     sway_omega: float = 0.0
 
 
+class FasterChange(Struct, frozen=True, eq=False):
+    """Hypothesis that a change that was confirmed as a usual one is a faster one.
+
+    Attributes:
+        bank: one hypothesis; at amplitude 1 it makes the estimate that of the faster change.
+        odds: log odds against the usual change before what its sums contain.
+        variance: of its amplitude, before what its sums contain.
+        acceleration, usual: that the faster and the usual change add [m/s^2].
+        speed: steady one before them [m/s].
+    """
+
+    bank: OnsetBank
+    odds: float
+    variance: float
+    acceleration: float
+    usual: float
+    speed: float
+
+    def posterior(self) -> OnsetPosterior:
+        """Return the posterior of the hypothesis."""
+        return onset_bank.posterior(self.bank, AmplitudePrior(1.0, self.variance, odds=self.odds))
+
+
 class BankState(Struct, frozen=True, eq=False):
     """Estimate of the null filter, and the onset banks.
 
@@ -118,6 +141,8 @@ class BankState(Struct, frozen=True, eq=False):
         tentative: a change has been perceived.
         tentative_s: how long it has been tentative [s].
         is_expired: it was cancelled for its duration, and its odds have not been calm since.
+        is_faster: the change into the class in force turned out to be a faster one in this step.
+        faster: the change into the class in force as a faster one, while that is not decided.
         start_check: of a start against the readings, or None.
         contact: the force-torque sensor takes part.
         is_keen: it measured the object better than the distance sensor: nothing oscillates.
@@ -154,6 +179,8 @@ class BankState(Struct, frozen=True, eq=False):
     tentative: bool = False
     tentative_s: float = 0.0
     is_expired: bool = False
+    is_faster: bool = False
+    faster: FasterChange | None = None
     start_check: StartCheck | None = None
     contact: bool = False
     is_keen: bool = False

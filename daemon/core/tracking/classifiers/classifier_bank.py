@@ -39,6 +39,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     SWAY_QUADRATURE,
     BankModel,
     BankState,
+    FasterChange,
     Guide,
     V,
     Y,
@@ -76,6 +77,7 @@ HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives
 TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
 FELT_S = 0.008  # a contact is known for so long after a deflection: two samples of 250 Hz [s]
 UNSURE = 0.5  # share of what a ramp turns out to be stronger that may be wrong
+EXPLAINED = -20.0  # log odds of a change below which none of its hypotheses is left
 LEFT_S = 0.2  # in which the speed that is left when a stop ends dies out [s]
 
 _SWAY = np.array((SWAY, SWAY_QUADRATURE))
@@ -271,6 +273,9 @@ class BankClassifier(BankModel):
         prior = self.stronger_priors.get(state.motion)
         if prior is None or not len(state.changes):
             return None
+        faster = self._as_faster(state)
+        if faster is not None:
+            return faster
         bank = onset_bank.oldest(state.changes)
         stronger = onset_bank.posterior(bank, prior)
         if stronger.odds < max(self.bank.perceived, state.change.odds):
@@ -281,6 +286,68 @@ class BankClassifier(BankModel):
         mean, spread = onset_bank.merge_moments(bank, -bank.error, stronger)
         spread[[V, ACCELERATION], [V, ACCELERATION]] += (UNSURE * mean[[V, ACCELERATION]]) ** 2
         return replace(clear_banks(state), x=state.x + mean, P=state.P + spread)
+
+    def _as_faster(self, state: BankState) -> BankState | None:
+        """Return the state with the confirmed change as a faster one; None if it is none.
+
+        It is as soon as that is likelier: its odds contain how likely a change is a faster one.
+        """
+        faster = state.faster
+        if faster is None or not self._shows_faster(state, faster):
+            return None
+        result = faster.posterior()
+        if result.odds < max(0.0, state.change.odds):
+            return None
+        mean, spread = onset_bank.merge_moments(faster.bank, -faster.bank.error, result)
+        return replace(
+            clear_banks(state),
+            x=state.x + mean,
+            P=state.P + spread,
+            class_age=float(faster.bank.age[0]),
+            is_faster=True,
+        )
+
+    def _shows_faster(self, state: BankState, faster: FasterChange) -> bool:
+        """Return whether the distance sensor alone supports the faster change."""
+        deviation = STANDING_DEVIATION if state.motion is Motion.STARTING else RUNNING_DEVIATION
+        usual, other = (
+            distance_check.log_odds(
+                state.readings, age, change, deviation, self.distance_deviation, speed=faster.speed
+            )
+            for age, change in (
+                (state.class_age, faster.usual),
+                (float(faster.bank.age[0]), faster.acceleration),
+            )
+        )
+        return usual is not None and other is not None and other > usual
+
+    def _faster_change(self, state: BankState, mean: Array) -> FasterChange | None:
+        """Return the hypothesis that a change that is confirmed as a usual one is a faster one.
+
+        Both explain the readings so far: the faster one began later. Its odds are those of the two
+        priors, and go on from there.
+
+        Args:
+            mean: by how much the usual one moves the estimate.
+        """
+        prior, bank, usual = self._faster_prior(state), state.changes, state.change
+        if prior is None or state.motion in RAMPS or usual.variance != self.change_prior.variance:
+            return None
+        wider = onset_bank.posterior(bank, prior)
+        if wider.odds < EXPLAINED:
+            return None
+        nominal, weights, shares = self.changes[state.motion], wider.weights, wider.amplitudes
+        share = float(weights.dot(shares))
+        moved, _ = onset_bank.merge_moments(bank, -bank.error, wider)
+        spread = (shares - share) ** 2 + 1.0 / (bank.A + 1.0 / prior.variance)
+        return FasterChange(
+            onset_bank.begin(mean - moved, (0.0,), float(weights.dot(bank.age))),
+            wider.odds - usual.odds,
+            float(weights.dot(spread)) / share**2,
+            nominal * share,
+            nominal * float(usual.weights.dot(usual.amplitudes)),
+            state.cruise if state.motion is Motion.RUNNING else 0.0,
+        )
 
     def _step(self, state: BankState) -> DistanceStep | None:
         """Return the step of the distance sensor that looks like a stop; None without one.
@@ -461,6 +528,7 @@ class BankClassifier(BankModel):
             P=state.P + spread,
             motion=motion,
             class_age=class_age,
+            faster=self._faster_change(state, mean),
         )
 
     def _accept_impulse(self, state: BankState) -> BankState:
@@ -480,6 +548,7 @@ class BankClassifier(BankModel):
             P=state.P + spread,
             impulse_omega=self.likeliest_omega(state),
             impulse_age=0.0,
+            faster=state.faster and against_impulse(state.faster, state.impulse.odds, mean),
             events=tuple(events),
         )
 
@@ -494,6 +563,26 @@ class BankClassifier(BankModel):
         if state.age > SETTLING and not state.tentative and speed > 0.7 * nominal:
             return replace(state, cruise=state.cruise + dt * (speed - state.cruise))
         return state
+
+
+def against_impulse(faster: FasterChange, odds: float, mean: Array) -> FasterChange:
+    """Return the hypothesis of a faster change after an impulse is accepted in its place.
+
+    Soon after a touch an impulse explains a deflection as well as a stop does. It swings back.
+
+    Args:
+        odds: log odds of the impulse against no change.
+        mean: by how much it moves the estimate.
+    """
+    result, bank = faster.posterior(), faster.bank
+    share = float(result.amplitudes[0])
+    return replace(
+        faster,
+        bank=onset_bank.begin(share * bank.error[:, 0] + mean, (0.0,), float(bank.age[0])),
+        odds=result.odds - odds,
+        variance=1.0 / (float(bank.A[0]) + 1.0 / faster.variance) / share**2,
+        acceleration=faster.usual + share * (faster.acceleration - faster.usual),
+    )
 
 
 def _bound_tentative(state: BankState, before: BankState, dt: float) -> BankState:

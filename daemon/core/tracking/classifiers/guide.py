@@ -110,7 +110,7 @@ def advance(
             missed = missed + 1 if corrected is led else 0
         led = corrected
     led_sway = led.x[_SWAY].copy()
-    if state.motion is not before.motion:
+    if state.motion is not before.motion or state.is_faster:
         led = _in_class(model, state, led, measurements, sways=sways)
         felt = felt_drift.moved(felt)
     led = led if sways else _fading(led, led_sway, dt)
@@ -295,7 +295,8 @@ def _in_class(
         sways: a sway leads the target.
     """
     surprise = float(state.x[V]) - float(led.x[V])
-    if has_changed_class(state.events) or abs(surprise) > LARGEST_SURPRISE:
+    is_new = state.is_faster or has_changed_class(state.events)
+    if is_new or abs(surprise) > LARGEST_SURPRISE:
         guide = synchronised(state)
         if not sways:
             guide = _swayed(guide, float(led.x[SWAY]))

@@ -118,15 +118,16 @@ def empty(states: int) -> OnsetBank:
     return OnsetBank(np.zeros((states, 0)), np.zeros((4, 0)))
 
 
-def begin(error: Array, omegas: tuple[float, ...]) -> OnsetBank:
-    """Return hypotheses that begin now.
+def begin(error: Array, omegas: tuple[float, ...], age: float = 0.0) -> OnsetBank:
+    """Return hypotheses without evidence.
 
     Args:
-        error: f of each at its onset (n,).
+        error: f of each now (n,).
         omegas: frequency of each [rad/s]; 0 for a change of class.
+        age: time since their onset [s].
     """
     sums = np.zeros((4, len(omegas)))
-    sums[3] = omegas
+    sums[2], sums[3] = age, omegas
     return OnsetBank(np.repeat(error[:, None], len(omegas), axis=1), sums)
 
 
