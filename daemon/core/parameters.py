@@ -169,9 +169,10 @@ def _tracker(
 ) -> Tracker:
     """Return the parameters of tracking, for a task as it is planned."""
     delay_s = _longest_delay(control_settings, controller)
-    clamped, free = (
-        merge.compile_merge(tracking.merge, delay_s, cycle_s, controller.steps, later=later)
-        for later in (False, True)
+    quick, plain = merge.without_mode(tracking.merge), tracking.merge
+    clamped, retreating, free = (
+        merge.compile_merge(settings, delay_s, cycle_s, controller.steps, later=later)
+        for settings, later in ((quick, False), (plain, False), (plain, True))
     )
     table = tabulated(reference, cycle_s, controller.steps)
     span = np.arange(controller.steps + 1) * cycle_s
@@ -202,6 +203,7 @@ def _tracker(
         steps=controller.steps,
         merge_free=free,
         merge_clamped=clamped,
+        merge_retreating=retreating,
         corner=merge.rounding(cycle_s, clamped.commit),
         history_length=math.ceil(HISTORY_S / cycle_s),
         span=span,

@@ -10,7 +10,7 @@ from linemate.daemon.core.control.kinematics import KinematicsError
 from linemate.daemon.core.control.settings import ControlSettings, ServoModel
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
-from linemate.daemon.core.tracking.merge import ORDER
+from linemate.daemon.core.tracking.merge import ALONG, ORDER
 from linemate.daemon.core.tracking.settings import ClassifierKind, PayloadSettings, TrackingSettings
 from linemate.daemon.core.tracking.task import PoseFile, TaskFile
 from linemate.simulators.harness.setup import shipped_control
@@ -48,6 +48,14 @@ def test_the_horizon_is_half_a_second_and_everything_in_it_fits(cycle_s: float) 
     shared = free.committed_s > free.commit * cycle_s + 1e-9
     assert free.matrices.shape == (6, tracker.steps - free.commit, ORDER + shared)
     assert np.allclose(tracker.span, np.arange(tracker.steps + 1) * cycle_s)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+def test_a_clamped_tool_follows_the_object_sooner_until_it_is_to_retreat(cycle_s: float) -> None:
+    tracker = parameters(cycle_s).tracker
+    plans = [tracker.merge_plan(in_contact=True, retreats=retreats) for retreats in (False, True)]
+    sooner, later = (float(plan.matrices[ALONG].sum()) * cycle_s for plan in plans)
+    assert later - sooner > 0.02
 
 
 @pytest.mark.parametrize("cycle_s", CYCLES)

@@ -13,7 +13,7 @@ Invariants:
 
 import cmath
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,10 @@ MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle i
 LATER_FROM_S = 0.008  # cycle from which a tool that hangs free is committed for longer [s]
 LATER_CYCLES = 0.5  # by so many cycles
 DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop over tau
+# Share of tau along the conveyor for a clamped tool. A merge of fifth order gives servo and elastic
+# mode a bounded fourth derivative. A clamped tool has no such mode: for the servo third order is
+# enough, which takes a goal up after 2 tau.
+CLAMPED_SHARE = 2.0 / DELAY_PER_TAU
 LARGEST_SWING = 0.006  # of a merge beyond its deviation at nc, and that of SWING_S more [m]
 SWING_S = 0.1  # of the deviation's rise there; a merge that swings farther met a corner [s]
 CALM_S = 0.05  # time constant of the merge in its place [s]
@@ -59,6 +63,11 @@ class MergePlan:
     def first_free(self) -> int:
         """First step at which a goal may get a corner: behind all that a merge reads."""
         return self.commit + (2 if self.matrices.shape[2] > ORDER else 1)
+
+
+def without_mode(settings: MergeSettings) -> MergeSettings:
+    """Return the settings along the conveyor of a tool without an elastic mode."""
+    return replace(settings, along=CLAMPED_SHARE * settings.along)
 
 
 def compile_merge(

@@ -404,7 +404,7 @@ class MergeSettings:
     """Merge of a new prediction into the horizon.
 
     Attributes:
-        along: time constant along the conveyor [s].
+        along: time constant along the conveyor [s]; of a clamped tool 0.62 times that.
         across: time constant of the other axes [s].
         blend: time in which the programmed motion gives way to the sensed one [s].
     """

@@ -53,6 +53,7 @@ class Tracker:
         steps: n, length of the horizon.
         merge_free: of a tool that hangs free.
         merge_clamped: of a tool in contact: it has no elastic mode to damp, and answers earlier.
+        merge_retreating: of one that waits for its clamp: what made it retreat may be wrong.
         corner: (2 h + 1,) kernel that rounds corners of the conveyor's way.
         history_length: number of robot poses in the history.
         span: (n+1,) times of the horizon from now [s].
@@ -87,6 +88,7 @@ class Tracker:
     steps: int
     merge_free: MergePlan
     merge_clamped: MergePlan
+    merge_retreating: MergePlan
     corner: Array
     history_length: int
     span: Array
@@ -113,9 +115,11 @@ class Tracker:
         """The last step that no list changes."""
         return self.merge_free.commit
 
-    def merge_plan(self, *, in_contact: bool) -> MergePlan:
+    def merge_plan(self, *, in_contact: bool, retreats: bool = False) -> MergePlan:
         """Return the parameters of the merge."""
-        return self.merge_clamped if in_contact else self.merge_free
+        if not in_contact:
+            return self.merge_free
+        return self.merge_retreating if retreats else self.merge_clamped
 
 
 @lru_cache(maxsize=4)
