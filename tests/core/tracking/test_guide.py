@@ -21,7 +21,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
-from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings
+from linemate.daemon.core.tracking.settings import BankSettings, FusionSettings, SwaySettings
 from linemate.daemon.core.tracking.task import ConveyorClasses
 
 SPEED, DT = 0.106, 0.012
@@ -386,6 +386,97 @@ def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float
     assert float(x[ACCELERATION]) == pytest.approx(-0.1)
     # The distance sensor still reads where the conveyor is.
     assert float(x[Y] + x[OFFSET]) == pytest.approx(float(state.x[Y] + state.x[OFFSET]), abs=1e-6)
+
+
+def stopped_by(
+    followed: float, bank: BankClassifier = BANK, *, ends: bool = False
+) -> tuple[BankState, float]:
+    """The guide as a stop is declared 0.3 s late, and where the tool feels the object [m].
+
+    Args:
+        followed: share of what the conveyor has lost that the object has lost as well.
+        ends: the conveyor stands by then.
+    """
+    before, _ = in_contact(3.0, 0.0)
+    assert before.guide is not None
+    lost, slower = 0.0045, SPEED if ends else 0.03
+    x = before.x.copy()
+    felt = float(before.guide.x[Y]) + SPEED * DT - followed * lost
+    x[Y], x[OFFSET] = felt, x[OFFSET] + SPEED * DT - lost + float(x[Y]) - felt
+    x[V], x[ACCELERATION] = SPEED - slower, 0.0 if ends else -0.1
+    P = before.P.copy()
+    P[V, V] += 0.02**2
+    events = (("stop", "confirmed"),)
+    motion = Motion.STANDING if ends else Motion.STOPPING
+    after = structs.replace(before, x=x, P=P, motion=motion, events=events, class_age=0.3)
+    row = PositionMeasurement(Source.TACTILE, felt, 0.0, 3e-5**2, 20.0)
+    return guide.advance(bank, before, after, [row], DT), felt
+
+
+def led_way(state: BankState, felt: float, seconds: float) -> float:
+    """The way for which the target is led from where the object is [m]."""
+    return float(BANK.predict_positions(state, np.array((seconds,)))[0]) - felt
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_an_object_that_has_not_followed_its_conveyor_goes_on(ends: bool) -> None:
+    state, felt = stopped_by(0.0, ends=ends)
+    assert state.guide is not None
+    assert state.guide.hangs
+    x = state.guide.x
+    assert float(x[Y] + x[SWAY]) == pytest.approx(felt, abs=2e-4)
+    assert float(x[Y] + x[OFFSET]) == pytest.approx(float(state.x[Y] + state.x[OFFSET]), abs=1e-6)
+    assert led_way(state, felt, 0.1) == pytest.approx(SPEED * 0.1, abs=1e-3)
+
+
+def test_an_object_that_has_followed_its_conveyor_is_led_with_it() -> None:
+    state, felt = stopped_by(1.0)
+    assert state.guide is not None
+    assert not state.guide.hangs
+    assert led_way(state, felt, 0.1) < 0.8 * SPEED * 0.1
+
+
+@pytest.mark.parametrize(
+    "sway", [SwaySettings(gain_deviation=0.05), SwaySettings(frequency_hz=0.6, gain=1.0)]
+)
+def test_an_object_whose_sway_was_looked_for_hangs_by_no_other(sway: SwaySettings) -> None:
+    bank = BankClassifier(
+        ConveyorClasses(), FusionSettings(), BankSettings(), 0.00038, compliance=12.0, sway=sway
+    )
+    state, _ = stopped_by(0.0, bank)
+    assert state.guide is not None
+    assert not state.guide.hangs
+
+
+def test_a_correction_of_the_conveyor_is_none_of_an_object_that_hangs() -> None:
+    state, _ = stopped_by(0.0)
+    x, at = state.x, float(state.x[Y] + state.x[OFFSET])
+    speeds = []
+    for slower in (0.0, 0.02):
+        later = state
+        for k in range(8):
+            t = DT * (k + 1)
+            way = at + (float(x[V]) - slower) * t - 0.05 * t * t
+            row = PositionMeasurement(Source.DISTANCE, way, 0.0, 0.0001**2, 4.0)
+            before = structs.replace(later, events=())
+            later = guide.advance(BANK, before, before, [row], DT)
+        assert later.guide is not None
+        assert float(later.guide.x[V]) == pytest.approx(float(x[V]) - slower - 0.0096, abs=0.008)
+        ahead = BANK.predict_positions(later, np.array((0.0, 0.05)))
+        speeds.append(float(ahead[1] - ahead[0]) / 0.05)
+    assert speeds[1] == pytest.approx(speeds[0], abs=0.005)
+
+
+def test_a_target_that_a_hanging_object_leads_mixes_no_change_in() -> None:
+    state, _ = stopped_by(0.0, ends=True)
+    state = structs.replace(
+        state,
+        contact=False,
+        changes=BANK.change_onsets[Motion.STANDING],
+        change=structs.replace(state.change, odds=30.0),
+        change_odds=30.0,
+    )
+    assert bank_prediction.hypothesis_weights(BANK, state) == (0.0, 0.0)
 
 
 def test_a_start_that_was_stronger_than_foreseen_makes_no_lag_a_speed() -> None:

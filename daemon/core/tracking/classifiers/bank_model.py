@@ -51,6 +51,7 @@ RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nomi
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
 DRIVEN_WALK = 0.0003  # of a sway, by what chain and drive do beyond the ripple [m/sqrt(s)]
+HANGING = 0.75  # share of a change of the conveyor that an object has not followed, which hangs
 NO_SWAY = (0.0,) * 6  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
 
@@ -75,6 +76,7 @@ class Guide(Struct, frozen=True, eq=False):
         missed: readings of the distance sensor beyond the guide's gate in a row.
         felt: deflection from the guide.
         sway_omega: frequency of the sway that leads, or fades [rad/s].
+        hangs: that sway is the one of a body whose own is not identified.
     """
 
     x: Array
@@ -85,6 +87,7 @@ class Guide(Struct, frozen=True, eq=False):
     missed: int = 0
     felt: FeltDrift = UNFELT
     sway_omega: float = 0.0
+    hangs: bool = False
 
 
 class FasterChange(Struct, frozen=True, eq=False):
@@ -212,6 +215,12 @@ class BankModel:
     ripple: RippleSettings = field(default_factory=RippleSettings)
     compliance: float = 1.0
     sway: SwaySettings = field(default_factory=SwaySettings)
+
+    @cached_property
+    def may_hang(self) -> bool:
+        """Whether the object may hang from its conveyor by a sway that is not identified."""
+        sway = self.sway
+        return sway.is_on and not sway.frequency_hz and sway.gain_deviation > HANGING
 
     @cached_property
     def ripple_decay(self) -> KeptValues[float]:

@@ -167,7 +167,9 @@ def hypothesis_weights(
     Args:
         is_announced: the line announces a stop, which the odds of a change contain.
     """
-    if state.contact and not state.is_keen:
+    # The null filter does not know where an object is that hangs: it was 30 mm off.
+    hangs = state.guide is not None and state.guide.hangs and not state.is_firm
+    if hangs or (state.contact and not state.is_keen):
         return 0.0, 0.0
     if not model.mixture or not len(state.changes):
         return 0.0, 0.0

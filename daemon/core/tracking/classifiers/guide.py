@@ -16,6 +16,8 @@ Invariants:
 - An impulse disturbance does not move it; of the sways a slow one that was known before the contact
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
   was known before fades, at its own frequency.
+- Where none is known, an object that has not followed its conveyor as a change is declared goes on:
+  it sways from there.
 """
 
 import math
@@ -30,6 +32,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     FREQUENCY,
     GAIN,
+    HANGING,
     IMPULSE,
     OFFSET,
     PACE,
@@ -37,13 +40,14 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     RIPPLE_FACTORS,
     STATES,
     SWAY,
+    SWAY_QUADRATURE,
     BankModel,
     BankState,
     Guide,
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
+from linemate.daemon.core.tracking.classifiers.felt_drift import FeltDrift
 from linemate.daemon.core.tracking.conveyor import (
     Motion,
     PositionMeasurement,
@@ -53,6 +57,7 @@ from linemate.daemon.core.tracking.conveyor import (
 
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
+
 KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
@@ -62,6 +67,9 @@ FARTHEST_FELT = 0.002  # from where the tool measures the object: 100 N on a mou
 LOST_S = 0.1  # for which the distance sensor contradicts it at most, if the filter agrees [s]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 LARGEST_SURPRISE = 0.005  # by which an end speed may differ from the foreseen one [m/s]
+LEAST_LOST = 0.0005  # way of the conveyor that shows whether the object has lost it too [m]
+HANGING_OMEGA = 2.0 * math.pi * 0.6  # of such an object: hangers sway with 0.35 to 1 Hz [rad/s]
+UNSURE = 0.25  # one sigma of the speed that it has kept, as a share
 FASTEST = 2.0 * math.pi * 2.5  # sway that is led [rad/s]: a faster one would be driven by its delay
 
 
@@ -92,12 +100,13 @@ def advance(
     agrees = not state.rejected.get(Source.DISTANCE)
     longest = CONTRADICTED if waits else round(LOST_S / dt) if agrees else math.inf
     is_wrong = guide is not None and guide.missed >= longest
-    if guide is None or (is_wrong and float(state.P[V, V]) < KNOWN**2):
-        felt = UNFELT if guide is None else felt_drift.moved(guide.felt)
-        return replace(state, guide=replace(synchronised(state), felt=felt))
+    is_reset = guide is None or (is_wrong and float(state.P[V, V]) < KNOWN**2)
+    if guide is None:
+        return replace(state, guide=synchronised(state))
+    hangs = guide.hangs
     sways = guide.sways and not sway_filter.has_taken_over(before, state)
     # A sway that fades keeps its own frequency: turned by a quick one it moved the target by 6 mm.
-    omega = state.sway_omega if sways else guide.sway_omega
+    omega = state.sway_omega if sways and not hangs else guide.sway_omega
     led, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
     for measurement in measurements:
         corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
@@ -109,12 +118,19 @@ def advance(
         if measurement.source is Source.DISTANCE:
             missed = missed + 1 if corrected is led else 0
         led = corrected
-    led_sway = led.x[_SWAY].copy()
-    if state.motion is not before.motion or state.is_faster:
+    was, has_changed = led, state.motion is not before.motion or state.is_faster
+    if is_reset:
+        begun = synchronised(state)
+        led = replace(led, x=begun.x, P=begun.P, ripple_factor=begun.ripple_factor)
+        led, sways, waits, missed = replace(led, sway_omega=begun.sway_omega), True, False, 0
+    elif has_changed:
         led = _in_class(model, state, led, measurements, sways=sways)
-        felt = felt_drift.moved(felt)
-    led = led if sways else _fading(led, led_sway, dt)
-    guide = Guide(led.x, led.P, led.ripple_factor, sways, waits, missed, felt, omega)
+    if is_reset or has_changed:
+        felt = felt_drift.moved(guide.felt if is_reset else felt)
+        led, hangs = _going_on(model, state, was, led, measurements, hangs=hangs, sways=sways)
+    led = led if sways or hangs else _fading(led, was.x[_SWAY], dt)
+    x, P, omega = led.x, led.P, led.sway_omega
+    guide = Guide(x, P, led.ripple_factor, sways, waits, missed, felt, omega, hangs)
     return replace(state, guide=guide)
 
 
@@ -275,6 +291,98 @@ def _held(
     x[Y] += off
     x[OFFSET] -= off
     return replace(led, x=x)
+
+
+def _going_on(
+    model: BankModel,
+    state: BankState,
+    was: BankState,
+    led: BankState,
+    measurements: Sequence[PositionMeasurement],
+    *,
+    hangs: bool,
+    sways: bool,
+) -> tuple[BankState, bool]:
+    """Return the guide after a change of its conveyor, and whether its object hangs from that.
+
+    Args:
+        was: the guide without the change.
+        led: the guide with the change, for an object on a rigid carrier.
+        hangs: the object hung before.
+        sways: a sway leads the target.
+    """
+    gain = float(was.x[GAIN]) if hangs else 0.0
+    if not hangs and _may_hang(model, state, sways=sways):
+        gain, was = _gone_on(model, was, led, measurements), _steady(was)
+    return (_hanging(model, was, led, measurements, gain), True) if gain else (led, False)
+
+
+def _may_hang(model: BankModel, state: BankState, *, sways: bool) -> bool:
+    """Return whether the object may hang from its conveyor by a sway that is not identified."""
+    is_led = sways and state.sway_omega > 0.0
+    return model.may_hang and not is_led and has_changed_class(state.events)
+
+
+def _gone_on(
+    model: BankModel, was: BankState, led: BankState, measurements: Sequence[PositionMeasurement]
+) -> float:
+    """Return the share of a change of the conveyor that the object has not followed, or 0.
+
+    The mount shows it: what an object on a rigid carrier loses bends it. One that hangs goes on at
+    its speed for a fifth of its period, whatever that is.
+
+    Args:
+        was: the guide without the change.
+        led: the guide with the change, for an object on a rigid carrier.
+    """
+    felt = [each for each in measurements if each.source is Source.TACTILE]
+    lost = float(was.x[Y] + was.x[OFFSET] - led.x[Y] - led.x[OFFSET])
+    if not felt or abs(lost) < LEAST_LOST:
+        return 0.0
+    share = min(1.0 + _deflection(model, was, felt[-1]) / lost, model.sway.gain_deviation)
+    return share if share > HANGING else 0.0
+
+
+def _steady(led: BankState) -> BankState:
+    """Return the guide with its sway as a part of the position, before an object hangs."""
+    x = led.x.copy()
+    x[Y] += x[SWAY]
+    x[OFFSET] -= x[SWAY]
+    x[_SWAY] = 0.0
+    return replace(led, x=x, sway_omega=HANGING_OMEGA)
+
+
+def _hanging(
+    model: BankModel,
+    was: BankState,
+    led: BankState,
+    measurements: Sequence[PositionMeasurement],
+    gain: float,
+) -> BankState:
+    """Return the guide of an object that goes on as its conveyor turns out to be slower, or faster.
+
+    What the guide changes of the conveyor is none of the object: it is its sway, by the gain.
+
+    Args:
+        was: the guide without the change.
+        led: with it, for an object that is as fast as its conveyor.
+        gain: share of the conveyor's acceleration that the object does not follow.
+    """
+    omega = was.sway_omega
+    unit = float(led.x[Y] + led.x[OFFSET])
+    lost, slower = float(was.x[Y] + was.x[OFFSET]) - unit, float(was.x[V] - led.x[V])
+    x, T = led.x.copy(), np.eye(STATES)
+    x[SWAY] = was.x[SWAY] + gain * lost
+    x[SWAY_QUADRATURE] = was.x[SWAY_QUADRATURE] + gain * slower / omega
+    x[PACE], x[GAIN] = 0.0, gain
+    x[Y] = was.x[Y] + was.x[SWAY] - x[SWAY]
+    x[OFFSET] = unit - x[Y]
+    # Nor is what later readings correct of the conveyor's speed.
+    T[SWAY_QUADRATURE, V] = -gain / omega
+    T[_SWAY, _SWAY] = 0.0
+    P = T.dot(led.P).dot(T.T)
+    P[SWAY_QUADRATURE, SWAY_QUADRATURE] += (UNSURE * gain * slower / omega) ** 2
+    return _held(model, replace(led, x=x, P=P, sway_omega=omega), measurements)
 
 
 def _in_class(
