@@ -49,6 +49,8 @@ class PositionMeasurement(Struct, frozen=True):
         complied: of the force-torque sensor: what an offset of the target has taken up of it [m].
         pushed: of the force-torque sensor: one sigma of the speed that bolts in their holes have
             given the object before the touch [m/s].
+        ringing: of the force-torque sensor: variance that a ring of the tool as it seats adds to
+            what it shows of the class, where the body's sway is not identified [m^2].
     """
 
     source: Source
@@ -59,6 +61,7 @@ class PositionMeasurement(Struct, frozen=True):
     is_firm: bool = False
     complied: float = 0.0
     pushed: float = 0.0
+    ringing: float = 0.0
 
 
 class ConveyorEstimate(Struct, frozen=True):

@@ -115,7 +115,7 @@ def estimate(
         if source is Source.CAMERA:
             pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
         row = _along_measurement(tracker, transverse, source, measured, gate)
-        rows.append(row if source is Source.CAMERA else _felt_row(state, row, oscillation))
+        rows.append(row if source is Source.CAMERA else _felt_row(tracker, state, row, oscillation))
     seen, leaning = transverse, _leaning(tracker, state, wrench)
     transverse = _correct_held(tracker, state, seen, history, samples, wrench, leaning, rows)
     conveyor, readings = state.conveyor, state.readings
@@ -302,7 +302,9 @@ def sagging(state: TrackerState, target: Array) -> Array:
     return rigid
 
 
-def _felt_row(state: TrackerState, row: PositionMeasurement, more: float) -> PositionMeasurement:
+def _felt_row(
+    tracker: Tracker, state: TrackerState, row: PositionMeasurement, more: float
+) -> PositionMeasurement:
     """Return a deflection along the conveyor with what is known of the object in contact.
 
     Args:
@@ -317,6 +319,7 @@ def _felt_row(state: TrackerState, row: PositionMeasurement, more: float) -> Pos
         pushed=held_bolts.pushed(state.leaning, state.poses[0], ALONG)
         if any(state.leaning)
         else 0.0,
+        ringing=compliance.ringing(complied, tracker.compliance),
     )
 
 

@@ -900,6 +900,16 @@ def test_a_contact_lasts_from_one_deflection_to_the_next_and_ends_without() -> N
     assert seen == [free] * 10 + [touched] * 22 + [free] * 8
 
 
+def test_a_ring_of_the_tool_makes_its_deflection_less_evidence() -> None:
+    state, moved = BANK.initial(0.0), []
+    for ringing in (0.0, 0.001**2):
+        row = PositionMeasurement(Source.TACTILE, 0.002, 0.001, 1e-10, NEVER, ringing=ringing)
+        felt = BANK.advance(state, [row], T0)
+        moved.append((felt.is_keen, float(felt.P[0, 0])))
+    assert [is_keen for is_keen, _ in moved] == [True, False]
+    assert moved[1][1] > 50.0 * moved[0][1]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_start_that_hesitates_in_contact_is_no_stop(seed: int) -> None:
     """A drive that starts loses 5 mm/s within 0.08 s: a stop loses 8 mm/s."""

@@ -1,6 +1,7 @@
 """Compliance: a slow offset by force, bounded energy, and softening while it grows."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 
@@ -310,3 +311,30 @@ def test_a_force_that_swings_on_to_and_fro_softens_and_makes_a_deflection_uncert
     state = bent([-170.0, 200.0, -200.0, 200.0])
     assert state.is_softened
     assert compliance.uncertainty(state, MODEL) > 0.001**2
+
+
+def seated(force_of: Callable[[float], float], seconds: float) -> Compliance:
+    """The state of a tool that seats with a force along y."""
+    state = NO_COMPLIANCE
+    for k in range(round(seconds / MODEL.dt)):
+        t = k * MODEL.dt
+        force = (0.0, force_of(t), 0.0)
+        state = compliance.advance(state, MODEL, force, (0.0, 0.0, 0.0), t)
+    return state
+
+
+def test_a_ring_of_a_tool_that_seats_makes_its_deflection_no_evidence_of_a_class() -> None:
+    state = seated(lambda t: 40.0 * math.sin(math.tau * 4.0 * t), 0.33)
+    assert math.sqrt(compliance.ringing(state, MODEL)) > 15.0 / MODEL.stiffness
+    # The target follows a deflection as before.
+    assert compliance.uncertainty(state, MODEL) == 0.0
+
+
+def test_a_force_to_one_side_of_a_tool_that_seats_is_evidence_of_a_stop() -> None:
+    state = seated(lambda t: -100.0 * t * t / 0.1, 0.33)
+    assert compliance.ringing(state, MODEL) == 0.0
+
+
+def test_a_ring_ends_when_the_tool_has_seated() -> None:
+    state = seated(lambda t: 40.0 * math.sin(math.tau * 4.0 * t), SEATED_S + 0.05)
+    assert compliance.ringing(state, MODEL) == 0.0

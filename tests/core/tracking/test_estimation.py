@@ -9,8 +9,10 @@ from msgspec import structs
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.estimation import at_delay, estimate
 from linemate.daemon.core.tracking.observation import PoseMeasurement
+from linemate.daemon.core.tracking.touch.compliance import Compliance
+from linemate.daemon.core.tracking.touch.firmness import Swing
 from linemate.daemon.core.tracking.tracker import at_rest
-from linemate.daemon.core.tracking.tracker_state import StepSamples
+from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.protocol.stamped_samples import WrenchSample
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario
@@ -27,21 +29,25 @@ def test_a_plan_of_one_step_is_the_same_at_any_time() -> None:
     assert at_delay((3.0,), 0.6) == 3.0
 
 
-def felt(force: tuple[float, float, float], twist: float, *, holds: bool) -> np.ndarray:
-    """Return the estimate across the line, and along it, after 0.5 s of a force on the tool."""
-    cell = Setup(Scenario())
-    tracking = replace(cell.tracking, tactile=replace(cell.tracking.tactile, holds=holds))
-    tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
+def contact(tracker: Tracker) -> TrackerState:
+    """Return the state of a tool that touched the object 1 s ago."""
     place = tracker.reference.origin
-    pose = np.concatenate((place, np.zeros(3)))
     young = PoseMeasurement(place, np.eye(3), 0.0, np.full(6, 1e-8))
-    state = structs.replace(
-        at_rest(tracker, pose, 0.0),
+    return structs.replace(
+        at_rest(tracker, np.concatenate((place, np.zeros(3))), 0.0),
         transverse=tracker.transverse.initial([young]),
         conveyor=tracker.classifier.initial(float(place[1])),
         contact=True,
         touching=1.0,
     )
+
+
+def felt(force: tuple[float, float, float], twist: float, *, holds: bool) -> np.ndarray:
+    """Return the estimate across the line, and along it, after 0.5 s of a force on the tool."""
+    cell = Setup(Scenario())
+    tracking = replace(cell.tracking, tactile=replace(cell.tracking.tactile, holds=holds))
+    tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
+    state, pose = contact(tracker), np.concatenate((tracker.reference.origin, np.zeros(3)))
     for now_ns in range(0, 500_000_000, 12_000_000):
         wrench = WrenchSample(now_ns, force, (0.0, 0.0, twist))
         samples = StepSamples(now_ns, pose, now_ns, (), (), (wrench,), 0)
@@ -59,3 +65,23 @@ def test_a_force_across_shows_the_object_only_in_a_contact_that_holds_it() -> No
     assert np.abs(sliding).max() < 2e-5
     unpressed = felt((0.0, 0.0, 0.0), 0.0, holds=False)
     assert np.abs(felt(*pressed, holds=False) - unpressed).max() > 1e-3
+
+
+@pytest.mark.parametrize(("gain_deviation", "is_keen"), [(1.0, False), (0.05, True)])
+def test_a_ring_of_a_body_whose_sway_is_not_identified_hides_what_the_conveyor_does(
+    gain_deviation: float, is_keen: bool
+) -> None:
+    cell = Setup(Scenario())
+    sway = replace(cell.tracking.sway, frequency_hz=0.0, gain_deviation=gain_deviation)
+    tracking = replace(cell.tracking, sway=sway)
+    tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
+    pose = np.concatenate((tracker.reference.origin, np.zeros(3)))
+    for seating, keen in ((Swing(), True), (Swing(1, 1), is_keen)):
+        rings = Compliance(seating=seating, ring=40.0**2)
+        state = structs.replace(contact(tracker), compliance=rings)
+        for now_ns in range(0, 60_000_000, 12_000_000):
+            wrench = WrenchSample(now_ns, (0.0, 0.0, -60.0), (0.0, 0.0, 0.0))
+            samples = StepSamples(now_ns, pose, now_ns, (), (), (wrench,), 0)
+            state, _, _, _ = estimate(tracker, state, samples)
+        assert state.conveyor is not None
+        assert state.conveyor.is_keen is keen

@@ -245,7 +245,7 @@ def correct(
         h = model.observation_row(measurement, state)
         off = h.dot(J)
         Ph, minus_rho = off[:STATES], off[_FIRST:]
-        S = float(Ph.dot(h)) + measurement.variance
+        S = float(Ph.dot(h)) + model.variance(measurement)
         nu = measurement.value - float(off[STATES]) + float(h[GAIN] * J[GAIN, STATES])
         off[STATES] = -nu
         later = int(changes.age.searchsorted(measurement.delay))

@@ -334,6 +334,13 @@ class BankModel:
         """Prior of the amplitude of an impulse disturbance [m]."""
         return AmplitudePrior(0.0, self.impulse.deviation**2)
 
+    def variance(self, measurement: PositionMeasurement) -> float:
+        """Return the variance of a measurement as evidence of a class [m^2].
+
+        A ring on a body whose sway is not identified looks like a stop or like an impulse.
+        """
+        return measurement.variance + (measurement.ringing if self.may_hang else 0.0)
+
     def class_acceleration(self, motion: Motion) -> float:
         """Return the nominal acceleration of a class [m/s^2]."""
         if motion is Motion.STOPPING:

@@ -125,7 +125,7 @@ class BankClassifier(BankModel):
         felt_s = 0.0 if felt else state.felt_s + dt
         if not felt and felt_s < FELT_S:
             return replace(state, felt_s=felt_s)
-        is_keen = bool(felt) and min([e.variance for e in felt]) < self.distance_deviation**2
+        is_keen = bool(felt) and min(map(self.variance, felt)) < self.distance_deviation**2
         is_firm = is_keen and any(each.is_firm for each in felt)
         now = bool(felt), is_keen, is_firm
         if now != (state.contact, state.is_keen, state.is_firm):

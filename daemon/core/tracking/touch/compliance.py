@@ -38,9 +38,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from linemate.daemon.core.tracking.touch import firmness
-from linemate.daemon.core.tracking.touch.firmness import UNKNOWN, Firmness
+from linemate.daemon.core.tracking.touch.firmness import STILL, UNKNOWN, Firmness, Swing
 from linemate.protocol.stamped_samples import Vector3
 
+ALONG = 1  # axis of c along the conveyor
 RATE = 0.7  # w: of the offset [1/s], far below a quarter of one over the delay
 SEATING_RATE = 6.0  # added as the tool touches, when its place is known worst [1/s]
 SEATING_S = 0.25  # time in which that dies out [s]
@@ -109,6 +110,8 @@ class Compliance(Struct, frozen=True):
         driven: the contact drives the oscillation; until the contact ends, or it grows too large.
         firmness: whether the object gives way.
         waited: steps without a force since the last one.
+        seating: what the force along the conveyor has swung while the tool seats: side and turns.
+        ring: mean square of that [N^2].
     """
 
     offset: Vector3 = (0.0, 0.0, 0.0)
@@ -125,6 +128,8 @@ class Compliance(Struct, frozen=True):
     driven: bool = False
     firmness: Firmness = UNKNOWN
     waited: int = 0
+    seating: Swing = STILL
+    ring: float = 0.0
 
     @property
     def is_softened(self) -> bool:
@@ -172,12 +177,24 @@ def advance(
         felt = _swinging(state, felt, swung, dt, quick_s, is_pushed, is_at_rest=is_at_rest)
         moved = _delayed(state.moves, model.delays, cycles)
         given = state.energy - _dot(_minus(force, press), moved) - LEAK_W * dt
-        felt = replace(felt, energy=max(given, 0.0))
+        felt = replace(felt, energy=max(given, 0.0), ring=0.0)
+    else:
+        felt = _ringing(felt, force[ALONG] - mean[ALONG], dt)
     led = _led(felt, off, touching, dt)
     still = (_ZERO,) * (cycles - 1)
     moves = (*state.moves, *still, _minus(led.offset, state.offset))[-max(model.delays) :]
     softened = state.softened + dt if led.soft else 0.0
     return replace(led, moves=moves, softened=softened)
+
+
+def _ringing(state: Compliance, swung: float, dt: float) -> Compliance:
+    """Return the state with what the force along the conveyor rings while the tool seats.
+
+    Args:
+        swung: force off its mean [N].
+    """
+    ring = state.ring + dt / MEMORY_S * (swung * swung - state.ring)
+    return replace(state, seating=firmness.turned(state.seating, swung, dt), ring=ring)
 
 
 def _swinging(
@@ -327,6 +344,16 @@ def uncertainty(state: Compliance, model: ComplianceModel) -> float:
         return 0.0
     power = max(state.past[:-2])
     return max(power - QUIET_N**2, 0.0) / model.stiffness**2
+
+
+def ringing(state: Compliance, model: ComplianceModel) -> float:
+    """Return the variance that a ring adds to a deflection as evidence of a class [m^2].
+
+    A tool that seats on a body rings with it, and its force looks like a stop or an impulse.
+    """
+    if not state.seating.turns:
+        return 0.0
+    return max(state.ring - QUIET_N**2, 0.0) / model.stiffness**2
 
 
 def displaced(way: Vector3) -> Compliance:

@@ -90,7 +90,7 @@ def advance(
         gives_way: the object was pushed, or an oscillation grows.
     """
     x, y, z = (
-        _lasting(swing, _swung(swing, f, dt), dt, quick_s)
+        _lasting(swing, turned(swing, f, dt), dt, quick_s)
         for swing, f in zip(state.swings, swung, strict=True)
     )
     turns = max(x.turns, y.turns, z.turns)
@@ -109,7 +109,7 @@ def without_proof(state: Firmness) -> Firmness:
     return Firmness(None, 0.0, state.swings, state.has_swung)
 
 
-def _swung(swing: Swing, force: float, dt: float) -> Swing:
+def turned(swing: Swing, force: float, dt: float) -> Swing:
     """Return a swing one step later.
 
     Args:
