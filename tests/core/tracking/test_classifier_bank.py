@@ -910,6 +910,18 @@ def test_a_ring_of_the_tool_makes_its_deflection_less_evidence() -> None:
     assert moved[1][1] > 50.0 * moved[0][1]
 
 
+@pytest.mark.parametrize("motion", [Motion.STOPPING, Motion.STARTING])
+def test_the_acceleration_is_uncertain_at_the_end_of_a_ramp(motion: Motion) -> None:
+    """Drives end their ramps smoothly: on an S it fades within a third of the ramp."""
+    state, noise = structs.replace(BANK.initial(0.0), motion=motion), []
+    end = 0.0 if motion is Motion.STOPPING else state.cruise
+    for speed in (0.5 * state.cruise, end):
+        x = state.x.copy()
+        x[V] = speed
+        noise.append(float(BANK.process_noise(structs.replace(state, x=x), T0)[ACCELERATION]))
+    assert noise[1] > 20.0 * noise[0]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_start_that_hesitates_in_contact_is_no_stop(seed: int) -> None:
     """A drive that starts loses 5 mm/s within 0.08 s: a stop loses 8 mm/s."""

@@ -402,9 +402,11 @@ class BankModel:
 
     def _ramp_walk(self, state: BankState) -> float:
         """Return the random walk of a ramp's acceleration, as a share [1/sqrt(s)]."""
-        if state.motion is not Motion.STOPPING:
-            return RAMP_WALK
-        left = max(float(state.x[V]), 0.0) / self.conveyor.deceleration
+        v = float(state.x[V])
+        if state.motion is Motion.STOPPING:
+            left = max(v, 0.0) / self.conveyor.deceleration
+        else:
+            left = max(state.cruise - v, 0.0) / self.conveyor.acceleration
         return RAMP_WALK + END_WALK * math.exp(-left / END_S)
 
     def speed_share(self, speed: float) -> float:
