@@ -41,6 +41,21 @@ def counted_for(conveyor: ConveyorClasses, deviation: float) -> float:
     return max(LATEST_S, math.sqrt(2.0 * DECIDED * deviation / conveyor.deceleration))
 
 
+def decided_way(conveyor: ConveyorClasses, deviation: float, spacing: float) -> float:
+    """Return the way that a stop makes until readings show or deny it [m].
+
+    A deceleration a that is or is not there gives log odds of a^2 u^5 / (40 sigma^2 dt) after u.
+    They have decided once these are the weight of the announcement.
+
+    Args:
+        deviation: one sigma of a reading of the distance sensor [m].
+        spacing: time between two readings [s].
+    """
+    a, odds = conveyor.deceleration, max(conveyor.stop_input.weight, 0.1)
+    decided_s: float = (40.0 * odds * deviation**2 * spacing / a**2) ** 0.2
+    return 0.5 * a * decided_s**2
+
+
 def onset_odds(settings: StopInput, edge: float, ages: Array) -> Array | None:
     """Return the log odds (m,) that the line gives each onset; None if it says nothing of any.
 
