@@ -40,7 +40,8 @@ from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion, Sou
 LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
 LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
 CONTRADICTED = 2  # readings of the distance sensor rejected in a row; one may be an outlier
-DENIED = 4.0  # log odds of a change in contact beyond what the distance sensor says
+UNDECIDED = 12.0  # log odds of a change in contact at most, while the distance sensor is undecided
+DENIAL = 4.0  # share of the sensor's own log odds that counts against it: none is left at -3
 LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 
 
@@ -52,10 +53,10 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     the force decides within 0.1 s.
     """
     announced = _with_announcement(model, state)
-    alone = _mixed_positions(model, state, times, is_announced=False)
+    alone = _mixed_positions(model, state, times)
     if announced is state:
         return alone
-    moved = _mixed_positions(model, announced, times, is_announced=True) - alone
+    moved = _mixed_positions(model, announced, times) - alone
     if not state.is_keen:
         spacing = distance_check.SPAN_S / max(state.readings.shape[1], 1)
         way = stop_input.decided_way(model.conveyor, model.distance_deviation, spacing)
@@ -65,9 +66,7 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     return positions
 
 
-def _mixed_positions(
-    model: BankModel, state: BankState, times: Array, *, is_announced: bool
-) -> Array:
+def _mixed_positions(model: BankModel, state: BankState, times: Array) -> Array:
     """Return the weighted mean of the hypotheses' positions (m,) [m].
 
     What is linear in the estimate is predicted once, for the weighted mean.
@@ -76,9 +75,7 @@ def _mixed_positions(
     omega_ripple = model.ripple_omega(state)
     y = v = r = 0.0
     nonlinear: Array | float = 0.0
-    for weight, estimate, motion, omega, swaying in _weighted_estimates(
-        model, state, is_announced=is_announced
-    ):
+    for weight, estimate, motion, omega, swaying in _weighted_estimates(model, state):
         x = estimate.tolist()
         y, v, r = y + weight * x[Y], v + weight * x[V], r + weight * x[RANDOM]
         part = _nonlinear_part(model, x, motion, omega, state.cruise, times, omega_ripple)
@@ -90,13 +87,13 @@ def _mixed_positions(
 
 
 def _weighted_estimates(
-    model: BankModel, state: BankState, *, is_announced: bool
+    model: BankModel, state: BankState
 ) -> list[tuple[float, Array, Motion, float, BankState]]:
     """Return what the prediction mixes.
 
     Each has weight, estimate (10,), class, impulse frequency, and the state that knows its sway.
     """
-    change, impulse = hypothesis_weights(model, state, is_announced=is_announced)
+    change, impulse = hypothesis_weights(model, state)
     estimates, rest = [], 1.0
     if change > LEAST_WEIGHT:
         motion, _ = NEXT[state.motion]
@@ -180,17 +177,12 @@ def _after_impulse(model: BankModel, state: BankState) -> Array:
     return x
 
 
-def hypothesis_weights(
-    model: BankModel, state: BankState, *, is_announced: bool = False
-) -> tuple[float, float]:
+def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float]:
     """Return the weights of a change of class and of an impulse in the prediction.
 
     Only a running or standing conveyor is mixed: on a ramp a mixture does harm. A penalty keeps
     quiet tracking quiet. Neither counts while the distance sensor is rejected: no class explains
     its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
-
-    Args:
-        is_announced: the line announces a stop, which the odds of a change contain.
     """
     # The null filter does not know where an object is that hangs: it was 30 mm off.
     hangs = state.guide is not None and state.guide.hangs and not state.is_firm
@@ -210,20 +202,19 @@ def hypothesis_weights(
         return 0.0, 0.0
     odds = state.change.odds
     if state.distance_odds is not None and not state.is_firm:
-        # What the distance sensor denies is a body that swings.
-        odds = min(odds, state.distance_odds + DENIED)
+        # What the distance sensor denies is a body that swings. Undecided, as it is in the first
+        # 0.1 s of each stop, it denies nothing: a target that waited for it was 0.1 s late.
+        odds = min(odds, UNDECIDED + DENIAL * state.distance_odds)
     change = caution * (odds - penalty)
     impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
-    # A body that is pushed begins to move as on a conveyor that stops.
-    may_swing = state.is_keen and not state.is_firm
-    shared = _sigmoid(state.change_odds) if may_swing else 1.0
-    if may_swing and is_announced:
-        # The guide leads by no impulse: its odds, which nothing bounds, would hide the stop.
-        return shared * _sigmoid(change), 0.0
+    if state.is_keen and not state.is_firm:
+        # A body that is pushed begins to move as on a conveyor that stops. No impulse leads the
+        # guide: its odds, which nothing bounds, would hide the stop.
+        return _sigmoid(state.change_odds) * _sigmoid(change), 0.0
     largest = max(change, impulse, 0.0)
     change, impulse = math.exp(change - largest), math.exp(impulse - largest)
     total = math.exp(-largest) + change + impulse
-    return shared * change / total, impulse / total
+    return change / total, impulse / total
 
 
 def _sigmoid(odds: float) -> float:
