@@ -48,9 +48,9 @@ LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 def predict_positions(model: BankModel, state: BankState, times: Array) -> Array:
     """Return positions (m,) [m] at ``times`` from now [s].
 
-    A stop that the line announces moves them by half of its way until readings decide at most: no
-    sensor shows sooner whether the edge is true, and either error is least so. In contact
-    the force decides within 0.1 s.
+    A stop that the line announces moves them by half of its way until readings decide at most, and
+    by what a mount bears: no sensor shows sooner whether the edge is true, and either error is
+    least so. In contact the force decides within 0.1 s.
     """
     announced = _with_announcement(model, state)
     alone = _mixed_positions(model, state, times)
@@ -60,7 +60,7 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     if not state.is_keen:
         spacing = distance_check.SPAN_S / max(state.readings.shape[1], 1)
         way = stop_input.decided_way(model.conveyor, model.distance_deviation, spacing)
-        most = 0.5 * way
+        most = max(0.5 * way, stop_input.BORNE)
         moved = most * np.tanh(moved / most)
     positions: Array = alone + moved
     return positions

@@ -13,6 +13,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.task import ConveyorClasses, StopInput
 
 LATEST_S = 0.3  # after an edge in which it counts at least [s]
+BORNE = 0.002  # way by which an edge alone may move the target: 100 N on a mount of 50 N/mm [m]
 DECIDED = 5.0  # sigmas of a reading that the object is off as the readings have decided
 APART_S = 1.0  # between two edges that both count: a bit that chatters announces once
 
