@@ -49,7 +49,7 @@ def predict_positions(model: BankModel, state: BankState, times: Array) -> Array
     """Return positions (m,) [m] at ``times`` from now [s].
 
     A stop that the line announces moves them by half of its way until readings decide at most, and
-    by what a mount bears: no sensor shows sooner whether the edge is true, and either error is
+    by what a mount withstands: no sensor shows sooner whether the edge is true, and either error is
     least so. In contact the force decides within 0.1 s.
     """
     announced = _with_announcement(model, state)
