@@ -103,13 +103,13 @@ def test_a_body_that_nothing_excites_is_not_driven_and_comes_to_rest_after_a_lat
 def test_a_proof_next_to_a_running_line_drives_a_body_that_nothing_excites(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # The heavier body: what drives it is not hidden by the press, as that of 300 kg is.
-    plain = around_a_late_kick(*UNKICKED[1])
+    # The lighter body: the delay of the clamped tool's merge drives 3 Hz most.
+    plain = around_a_late_kick(*UNKICKED[0])
     advance = compliance.advance
     monkeypatch.setattr(
         compliance, "advance", lambda *given, **named: advance(*given, **named | PROVED)
     )
-    driven = around_a_late_kick(*UNKICKED[1])
+    driven = around_a_late_kick(*UNKICKED[0])
     assert driven["calm_n"] > CALM_N
     assert driven["calm_mm"] > 2.0 * plain["calm_mm"]
 
