@@ -41,7 +41,7 @@ LEAST_WEIGHT = 1e-4  # of a hypothesis in the prediction
 LEAST_RIPPLE = 1e-7  # amplitude of a ripple in the prediction [m]
 CONTRADICTED = 2  # readings of the distance sensor rejected in a row; one may be an outlier
 UNDECIDED = 12.0  # log odds of a change in contact at most, while the distance sensor is undecided
-DENIAL = 4.0  # share of the sensor's own log odds that counts against it: none is left at -3
+DENIAL = 4.0  # times that the sensor's own log odds count: at -3 no odds are left
 LEAST_SWING = 1e-6  # amplitude of a swing in the prediction [m]
 
 

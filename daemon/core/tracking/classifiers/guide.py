@@ -57,7 +57,6 @@ from linemate.daemon.core.tracking.conveyor import (
 
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
-
 KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
