@@ -6,20 +6,32 @@ from linemate.simulators.harness import lockstep, setup
 from linemate.simulators.judge.judge import judge
 
 LARGEST_N = 160.0  # at a contact with a tool that lags
-RINGING_N = 190.0  # where servos are twice as quick as configured: the tool rings in contact
+
+
+class ForceError(AssertionError):
+    """The force in contact is beyond its limit; nothing else is wrong."""
 
 
 @pytest.mark.row
 @pytest.mark.parametrize(
-    ("key", "factor", "shift", "largest_n"),
+    ("key", "factor", "shift"),
     [
-        ("dead_time", 1.0, -0.024, LARGEST_N),
-        ("frequency_hz", 0.5, 0.0, RINGING_N),
-        ("frequency_hz", 2.0, 0.0, LARGEST_N),
+        ("dead_time", 1.0, -0.024),
+        pytest.param(
+            "frequency_hz",
+            0.5,
+            0.0,
+            marks=pytest.mark.xfail(
+                reason="181 N: the clamp opens within a slow swing, after the longest wait",
+                raises=ForceError,
+                strict=True,
+            ),
+        ),
+        ("frequency_hz", 2.0, 0.0),
     ],
 )
 def test_a_robot_whose_servos_are_misjudged_assembles(
-    key: str, factor: float, shift: float, largest_n: float
+    key: str, factor: float, shift: float
 ) -> None:
     """24 ms of dead time left out dragged the released tool along the hub: 192 N, 12 mm."""
     servos = setup.make("plant-floor").control.servos
@@ -29,4 +41,5 @@ def test_a_robot_whose_servos_are_misjudged_assembles(
     result = judge(run)
     assert run.collision is None
     assert result["assembled"]
-    assert result["contact_force_n"]["max"] < largest_n
+    if result["contact_force_n"]["max"] >= LARGEST_N:
+        raise ForceError(result["contact_force_n"]["max"])
