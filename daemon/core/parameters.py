@@ -24,7 +24,7 @@ from linemate.daemon.core.tracking.reference import (
     last_step,
     tabulated,
 )
-from linemate.daemon.core.tracking.settings import ClassifierKind, TrackingSettings
+from linemate.daemon.core.tracking.settings import ClassifierKind, TactileNoise, TrackingSettings
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.daemon.core.tracking.touch import compliance, contact
 from linemate.daemon.core.tracking.touch.touch_profile import (
@@ -179,18 +179,7 @@ def _tracker(
     lag = linear_axis.delay(task.linear_axis.ramp, cycle_s)
     leads = prediction_error.lead_times(reference.contact_time - reference.sight_time)
     blend = control_settings.filters.contact_blend
-    mount = tracking.tactile
-    vibrations = [
-        contact.tool_vibration(
-            mode.frequency_hz,
-            mode.damping,
-            stiffness,
-            mount.contact_force,
-            cycle_s,
-            mount.deflection,
-        )
-        for mode, stiffness in zip(control_settings.effector, mount.stiffness[:3], strict=False)
-    ]
+    vibrations = _vibrations(tracking.tactile, control_settings, cycle_s)
     return Tracker(
         task=task,
         settings=tracking,
@@ -231,6 +220,23 @@ def _tracker(
             controller.tcp_limit.free, task.conveyor.nominal_speed, -float(table.relative[-1, 2])
         ),
     )
+
+
+def _vibrations(
+    mount: TactileNoise, settings: ControlSettings, cycle_s: float
+) -> list[contact.ToolVibration]:
+    """Return how the tool vibrates along each axis of its mount."""
+    return [
+        contact.tool_vibration(
+            mode.frequency_hz,
+            mode.damping,
+            stiffness,
+            mount.contact_force,
+            cycle_s,
+            mount.deflection,
+        )
+        for mode, stiffness in zip(settings.effector, mount.stiffness[:3], strict=False)
+    ]
 
 
 def _longest_delay(settings: ControlSettings, controller: control.Controller) -> float:

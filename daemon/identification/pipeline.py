@@ -20,7 +20,7 @@ from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.control.settings import AxisGeometry, ControlSettings
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import MotionOrder
-from linemate.daemon.core.tracking.settings import TrackingSettings
+from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.identification import (
     conveyor_ramps,
@@ -131,22 +131,12 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
         fit, seen, bodies, traces, camera, delay, cell.tracking.sway.range_hz[0]
     )
     overlay, kept = _overlay(cell, servos, modes, swings, vision, noise)
-    if swayed.settings:
-        settings = {name: _digits(value) for name, value in swayed.settings.items()}
-        overlay.setdefault("tracking", {})["sway"] = settings
     identified = [result.mode for result in swings if result.mode is not None]
     # A sway across the line that was identified before is replaced, not added to.
     free = tuple(mode for mode in identified or cell.tracking.swing if not mode.gain)
     known = replace(cell.tracking, swing=free)
     across = sway_across.identify_across(seen, bodies, traces, camera, known)
-    if across:
-        swinging = [_plain(mode) for mode in (*free, *across)]
-        overlay.setdefault("tracking", {})["swing"] = swinging
-    if any(result.friction.level for result in servos):
-        rubbing = [_plain(result.friction) for result in servos]
-        overlay.setdefault("control", {})["friction"] = rubbing
-    if windup.axes:
-        overlay.setdefault("control", {})["windup"] = [_plain(axis) for axis in windup.axes]
+    _add_sections(overlay, swayed, (*free, *across) if across else (), servos, windup)
     findings = (
         *_servo_findings(servos),
         *_windup_findings(windup),
@@ -162,6 +152,29 @@ def identify(recordings: Sequence[Recorded]) -> Identified:
     overlay, unfit = fitting(overlay)
     findings = (*_without(findings, unfit), *unfit.values())
     return Identified(findings, overlay, (*kept, *unfit))
+
+
+def _add_sections(
+    overlay: dict[str, Any],
+    swayed: sway.SwayResult,
+    swinging: Sequence[SwingMode],
+    servos: Sequence[ServoResult],
+    windup: ArmWindup,
+) -> None:
+    """Add what is written as a whole section: sway, swings, friction and windup."""
+    tracking: dict[str, Any] = {}
+    control: dict[str, Any] = {}
+    if swayed.settings:
+        tracking["sway"] = {name: _digits(value) for name, value in swayed.settings.items()}
+    if swinging:
+        tracking["swing"] = [_plain(mode) for mode in swinging]
+    if any(result.friction.level for result in servos):
+        control["friction"] = [_plain(result.friction) for result in servos]
+    if windup.axes:
+        control["windup"] = [_plain(axis) for axis in windup.axes]
+    for name, values in (("tracking", tracking), ("control", control)):
+        if values:
+            overlay.setdefault(name, {}).update(values)
 
 
 def fitting(overlay: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, ReportLine]]:

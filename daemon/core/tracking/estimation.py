@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -96,38 +97,13 @@ def estimate(
     felt = tare.bending(state.tare, felt, tracker.settings.tactile)
     first_poses = _pose_measurements(tracker, history, samples, felt, state.bolts)
     rows, distance_noise = _distance_rows(tracker, state, samples)
-    rejected, waiting, pose_ns = 0, state.first_poses, state.pose_ns
     oscillation = compliance.uncertainty(state.compliance, tracker.compliance)
-    for source, measured, gate in first_poses:
-        if transverse is None:
-            waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
-            if len(waiting) == tracker.settings.fusion.initial_images:
-                transverse = tracker.transverse.initial(list(waiting))
-        else:
-            is_camera = source is Source.CAMERA
-            across = measured if is_camera else _yielding(tracker, state, measured, oscillation)
-            transverse, is_accepted = _correct(
-                tracker, state, transverse, source, across, gate, samples.stamp_ns
-            )
-            rejected += not is_accepted
-            if not is_accepted:
-                continue
-        if source is Source.CAMERA:
-            pose_ns = samples.stamp_ns - round(measured.delay * 1e9)
-        row = _along_measurement(tracker, transverse, source, measured, gate)
-        rows.append(row if source is Source.CAMERA else _felt_row(tracker, state, row, oscillation))
-    seen, leaning = transverse, _leaning(tracker, state, wrench)
+    seen, waiting, rejected, pose_ns = _see(
+        tracker, state, transverse, first_poses, rows, oscillation, samples.stamp_ns
+    )
+    leaning = _leaning(tracker, state, wrench)
     transverse = _correct_held(tracker, state, seen, history, samples, wrench, leaning, rows)
-    conveyor, readings = state.conveyor, state.readings
-    if conveyor is None:
-        recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
-        readings = recent[-FIRST_READINGS:]
-        if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
-            conveyor = tracker.classifier.initial(readings[-1])
-    else:
-        if state.announced_s == 0.0:
-            conveyor = tracker.classifier.announce_stop(conveyor)
-        conveyor = tracker.classifier.advance(conveyor, _shown(tracker, rows), tracker.cycle_s)
+    conveyor, readings = _follow_conveyor(tracker, state, rows)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
     state = replace(
         state,
@@ -149,6 +125,61 @@ def estimate(
         distance_noise=distance_noise,
     )
     return state, view, rejected, wrench
+
+
+def _see(
+    tracker: Tracker,
+    state: TrackerState,
+    transverse: TransverseState | None,
+    first_poses: Sequence[tuple[Source, PoseMeasurement, float]],
+    rows: list[PositionMeasurement],
+    oscillation: float,
+    stamp_ns: int,
+) -> tuple[TransverseState | None, tuple[PoseMeasurement, ...], int, int | None]:
+    """Return the transverse state, the poses of its start, how many are rejected, the last's time.
+
+    Args:
+        transverse: predicted; None until enough poses have come.
+        first_poses: of this step: source, pose and gate.
+        rows: measurements along the conveyor, which the accepted poses join.
+        oscillation: variance that it adds to a measured deflection [m^2].
+    """
+    rejected, waiting, pose_ns = 0, state.first_poses, state.pose_ns
+    for source, measured, gate in first_poses:
+        if transverse is None:
+            waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
+            if len(waiting) == tracker.settings.fusion.initial_images:
+                transverse = tracker.transverse.initial(list(waiting))
+        else:
+            is_camera = source is Source.CAMERA
+            across = measured if is_camera else _yielding(tracker, state, measured, oscillation)
+            transverse, is_accepted = _correct(
+                tracker, state, transverse, source, across, gate, stamp_ns
+            )
+            rejected += not is_accepted
+            if not is_accepted:
+                continue
+        if source is Source.CAMERA:
+            pose_ns = stamp_ns - round(measured.delay * 1e9)
+        row = _along_measurement(tracker, transverse, source, measured, gate)
+        rows.append(row if source is Source.CAMERA else _felt_row(tracker, state, row, oscillation))
+    return transverse, waiting, rejected, pose_ns
+
+
+def _follow_conveyor(
+    tracker: Tracker, state: TrackerState, rows: list[PositionMeasurement]
+) -> tuple[Any, tuple[float, ...]]:
+    """Return the conveyor's state one step later, and the distances of its start [m]."""
+    conveyor, readings = state.conveyor, state.readings
+    if conveyor is None:
+        recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
+        readings = recent[-FIRST_READINGS:]
+        if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
+            conveyor = tracker.classifier.initial(readings[-1])
+        return conveyor, readings
+    if state.announced_s == 0.0:
+        conveyor = tracker.classifier.announce_stop(conveyor)
+    return tracker.classifier.advance(conveyor, _shown(tracker, rows), tracker.cycle_s), readings
 
 
 def _pulled(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> tuple[Vector3, float]:

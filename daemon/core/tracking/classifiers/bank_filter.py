@@ -234,29 +234,15 @@ def correct(
     """
     changes, impulses, rejected = state.changes, state.impulses, state.rejected
     announced_s, faster = state.announced_s, state.faster
-    count, has_impulses = len(changes), len(impulses) > 0
-    middle, both = _FIRST + count, count + len(impulses)
+    count = len(changes)
+    middle, both = _FIRST + count, _FIRST + count + len(impulses)
     banks = (changes, impulses) if faster is None else (changes, impulses, faster.bank)
     J = np.concatenate((state.P, state.x[:, None], *[bank.error for bank in banks]), axis=1)
     sums = np.concatenate([bank.sums for bank in banks], axis=1)
     A, B = sums[0], sums[1]
-    change = model.changes[state.motion]
     for measurement in measurements:
-        h = model.observation_row(measurement, state)
-        off = h.dot(J)
-        Ph, minus_rho = off[:STATES], off[_FIRST:]
-        S = float(Ph.dot(h)) + model.variance(measurement)
-        nu = measurement.value - float(off[STATES]) + float(h[GAIN] * J[GAIN, STATES])
-        off[STATES] = -nu
-        later = int(changes.age.searchsorted(measurement.delay))
-        if later:  # not begun when this was measured: without h'D, which is in f
-            ages, acted = changes.age[:later], float(h[ACCELERATION])
-            way = model.acted_way(state, measurement.delay, ages, measurement.source)
-            minus_rho[:later] += change * (acted - way)
-        if has_impulses and measurement.source is not Source.DISTANCE:
-            minus_rho[count:both] -= model.delayed_response(
-                impulses.age, measurement.delay, impulses.omega
-            )
+        off, S = _innovation(model, state, measurement, J, (_FIRST, middle, both))
+        Ph, nu, minus_rho = off[:STATES], -float(off[STATES]), off[_FIRST:]
         gate = measurement.gate * math.sqrt(S)
         # Written so that a NaN is rejected too.
         if not abs(nu) <= gate and not _is_plausible(model, state, nu, -off[_FIRST:middle], gate):
@@ -289,13 +275,46 @@ def correct(
         x=x,
         P=J[:, :STATES],
         changes=OnsetBank(J[:, _FIRST:middle], sums[:, :count], changes.shares),
-        impulses=OnsetBank(J[:, middle : _FIRST + both], sums[:, count:both], impulses.shares),
-        faster=faster and replace(faster, bank=OnsetBank(J[:, _FIRST + both :], sums[:, both:])),
+        impulses=OnsetBank(J[:, middle:both], sums[:, count : both - _FIRST], impulses.shares),
+        faster=faster and replace(faster, bank=OnsetBank(J[:, both:], sums[:, both - _FIRST :])),
         rejected=rejected,
         ripple_factor=factor,
         sway_omega=omega,
         announced_s=announced_s,
     )
+
+
+def _innovation(
+    model: BankModel,
+    state: BankState,
+    measurement: PositionMeasurement,
+    J: Array,
+    ends: tuple[int, int, int],
+) -> tuple[Array, float]:
+    """Return ``h'J - z`` (16 + m,) and the variance S of its innovation.
+
+    Its element ``STATES`` is minus the innovation, those behind it are minus each bank's rho.
+
+    Args:
+        J: P, x and the signatures of the banks (15, 16 + m).
+        ends: columns at which changes begin, impulses begin, and impulses end.
+    """
+    first, middle, end = ends
+    h = model.observation_row(measurement, state)
+    off: Array = h.dot(J)
+    S = float(off[:STATES].dot(h)) + model.variance(measurement)
+    nu = measurement.value - float(off[STATES]) + float(h[GAIN] * J[GAIN, STATES])
+    off[STATES] = -nu
+    ages = state.changes.age
+    later = int(ages.searchsorted(measurement.delay))
+    if later:  # not begun when this was measured: without h'D, which is in f
+        acted = float(h[ACCELERATION])
+        way = model.acted_way(state, measurement.delay, ages[:later], measurement.source)
+        off[first : first + later] += model.changes[state.motion] * (acted - way)
+    if end > middle and measurement.source is not Source.DISTANCE:
+        impulses = state.impulses
+        off[middle:end] -= model.delayed_response(impulses.age, measurement.delay, impulses.omega)
+    return off, S
 
 
 def _is_frozen(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
