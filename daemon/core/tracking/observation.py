@@ -124,6 +124,9 @@ class PoseMeasurement(Struct, frozen=True, eq=False):
         variance: (6,) of position and of a rotation about the axes of c [m^2, rad^2].
         sensitivity: (6, 4) change of position and rotation for a stamp that is 1 s late, and for a
             bias of 1 m for each metre of range along the camera's x, y, z. None if it has neither.
+        lasting: noise that is correlated from image to image, apart from ``variance``: (3, 3) the
+            position for one sigma along each axis of the camera [m], and one sigma of a rotation
+            [rad]. None: each image errs by itself.
     """
 
     position: Array
@@ -131,6 +134,7 @@ class PoseMeasurement(Struct, frozen=True, eq=False):
     delay: float
     variance: Array
     sensitivity: Array | None = None
+    lasting: tuple[Array, float] | None = None
 
 
 def measure_camera(
@@ -176,7 +180,9 @@ def measure_camera(
         sensitivity[:3, 0] += (b * z - c * y, c * x - a * z, a * y - b * x)
         sensitivity[:3, 1:] = math.hypot(*sample.position) * R_camera
     delay = (now_ns - sample.exposure_ns) * 1e-9
-    return PoseMeasurement(position, rotation, delay, variance, sensitivity)
+    sigmas = noise.lasting * np.sqrt(diagonal)
+    lasting = R_camera * sigmas[:3], float(sigmas[3:].max())
+    return PoseMeasurement(position, rotation, delay, variance, sensitivity, lasting)
 
 
 def mean_distances(samples: Sequence[DistanceSample]) -> list[tuple[DistanceSample, int]]:

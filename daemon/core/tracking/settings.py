@@ -63,6 +63,9 @@ class CameraNoise:
         depth_factor: sigma along the line of sight, as a multiple of the lateral one.
         angle: sigma of each rotation at distance 0 [rad].
         angle_slope: increase of ``angle`` for each metre of distance [rad/m].
+        lasting: sigma of the noise that is correlated from image to image, as a share of the
+            independent noise above. 0: each image errs by itself.
+        lasting_s: its correlation time [s].
         gate: reject an innovation beyond this many sigma.
         longest_delay: reject an older exposure [s].
         stamp: sigma of its time stamp [s]; it adds the motion in that time to the variance.
@@ -83,6 +86,8 @@ class CameraNoise:
     depth_factor: Annotated[float, Ge(0.1), Le(20.0)] = 2.0
     angle: Angle = 0.0006
     angle_slope: Slope = 0.004
+    lasting: Annotated[float, Ge(0.0), Le(2.0)] = 0.5
+    lasting_s: Constant = 0.5
     gate: Sigmas = 5.0
     longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0005

@@ -28,6 +28,7 @@ _MEASURED = np.array((0, 2, 3, 4, 5))  # components of a pose without y
 FREQUENCY_FACTORS = (0.9, 1.1)  # range of the estimated frequency over the identified one
 SWING_DEVIATION = 0.008  # initial sigma of a swing [rad]
 CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along the conveyor
+LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
 ALONG_DEVIATION = 0.1  # initial sigma of the object's offset from the conveyor unit [m]
@@ -127,7 +128,17 @@ class Transverse:
     @cached_property
     def _first_factor(self) -> int:
         """Index of the first frequency error in x."""
+        return self._lasting + (LASTING_NOISE if self._has_lasting else 0)
+
+    @cached_property
+    def _lasting(self) -> int:
+        """Index of the camera's correlated noise, in its sigma."""
         return self._camera + (CAMERA if self.camera is not None else 0)
+
+    @cached_property
+    def _has_lasting(self) -> bool:
+        """Whether the camera's noise is correlated from image to image."""
+        return self.camera is not None and self.camera.lasting > 0.0
 
     @cached_property
     def _first_gain(self) -> int:
@@ -200,6 +211,8 @@ class Transverse:
             P[k, k] = self.camera.stamp_offset**2
             P[k + 1, k + 1] = P[k + 2, k + 2] = P[k + 3, k + 3] = self.camera.bias**2
             P[k + 4, k + 4] = ALONG_DEVIATION**2
+        if self._has_lasting:
+            np.fill_diagonal(P[self._lasting : self._first_factor, self._lasting :], 1.0)
         return TransverseState(x, P, rotation, frequency_factors=(1.0,) * len(self.swing))
 
     def slopes(self, state: TransverseState) -> tuple[float, float]:
@@ -282,6 +295,14 @@ class Transverse:
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
             noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
             noise[k + 4] = ALONG_WALK**2 * dt
+        if self.camera is not None and self._has_lasting:
+            # Gauss-Markov: its variance stays 1.
+            kept, both = (
+                math.exp(-dt / self.camera.lasting_s),
+                slice(self._lasting, self._first_factor),
+            )
+            noise[both] = 1.0 - kept**2
+            F[both, both] *= kept
         noise[self._first_factor : self._first_gain] = self.fusion.pace**2 * dt
         noise[self._first_gain :] = 0.0
         for swing in self._swings:
@@ -354,6 +375,12 @@ class Transverse:
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is not None:
             H[:, self._camera : self._camera + CAMERA - 1] = sensitivity[_MEASURED]
+        if self._has_lasting and measured.lasting is not None:
+            k = self._lasting
+            places, turned = measured.lasting
+            H[:TURN, k : k + 3] = places[::2]
+            for i in range(3):
+                H[TURN + i, k + 3 + i] = turned
         innovation = _innovation(state, measured, H)
         P, variance = state.P, measured.variance[_MEASURED] + self._walk(measured.delay)
         inflation = state.inflation if is_camera else 1.0
@@ -476,6 +503,8 @@ class Transverse:
             return state
         k, h = self._camera, np.zeros(self.size)
         h[k : k + CAMERA - 1], h[k + CAMERA - 1] = sensitivity[1], 1.0
+        if self._has_lasting and measured.lasting is not None:
+            h[self._lasting : self._lasting + 3] = measured.lasting[0][1]
         value = float(measured.position[1]) - unit
         angles = self.swing_now(state, measured.delay)
         for mode, angle in zip(self.swing, angles, strict=True):
@@ -510,6 +539,7 @@ class Transverse:
             measured.delay,
             measured.variance + LASTING * spread,
             measured.sensitivity,
+            measured.lasting,
         )
 
     def _walk(self, delay: float) -> Array:

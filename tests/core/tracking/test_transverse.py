@@ -829,3 +829,42 @@ def test_images_show_how_an_object_sways_that_was_pushed() -> None:
     known = error(watched(own, own.pushed(state), amplitude))
     assert known < 0.0005
     assert error(watched(own, state, amplitude)) > 3.0 * known
+
+
+class TestLastingNoise:
+    """A camera whose images err together for a while."""
+
+    SIGMA, TURNED, TIME_S = 0.4e-3, 0.5e-3, 0.5
+
+    def missed(self, model: Transverse, seed: int) -> float:
+        """Return the squared error of x and z over their stated variance, after 3 s."""
+        chance = np.random.default_rng(seed)
+        place, sigma, lasting = np.array((0.1, 0.0, 0.5)), np.sqrt(VARIANCE), np.zeros(6)
+        size = np.array((*(self.SIGMA,) * 3, *(self.TURNED,) * 3))
+        kept, state = math.exp(-FRAME / self.TIME_S), None
+        first: list[PoseMeasurement] = []
+        lasting = size * chance.standard_normal(6)
+        for _ in range(120):
+            fresh = math.sqrt(1.0 - kept * kept) * size * chance.standard_normal(6)
+            lasting = kept * lasting + fresh
+            error = lasting + sigma * chance.standard_normal(6)
+            turned, far = rotations.exp(error[3:]), (self.SIGMA * np.eye(3), self.TURNED)
+            measured = PoseMeasurement(place + error[:3], turned, 0.0, VARIANCE, None, far)
+            if state is None:
+                first.append(measured)
+                state = model.initial(first) if len(first) == 5 else None
+                continue
+            state = model.predict(state, FRAME)
+            state, _ = model.correct(state, measured, GATE, is_camera=True)
+        assert state is not None
+        off = state.x[:2] - place[[0, 2]]
+        return float(off @ np.linalg.solve(state.P[:2, :2], off)) / 2.0
+
+    def test_the_stated_error_holds_where_images_err_together(self) -> None:
+        camera = CameraNoise(stamp_offset=0.0, bias=0.0, lasting=1.0, lasting_s=self.TIME_S)
+        own = Transverse(FusionSettings(), (), camera)
+        plain = Transverse(FusionSettings(), (), replace(camera, lasting=0.0))
+        seeds = range(100)
+        low, high = stats.chi2.ppf((0.001, 0.999), 2 * len(seeds)) / (2 * len(seeds))
+        assert low < np.mean([self.missed(own, seed) for seed in seeds]) < high
+        assert np.mean([self.missed(plain, seed) for seed in seeds]) > 2.0 * high
