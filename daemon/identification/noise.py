@@ -7,7 +7,7 @@ Invariants:
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -28,6 +28,10 @@ GATE = 5.0
 DECIMALS = 7  # used digits of a reading [m]
 SLOPE_SHARE = 0.25  # largest deviation of an accepted slope, as a share of it
 SLOPE_LEAST = 3e-4  # and in any case [m/m]
+LAG_S = 0.05  # width of a class of lags between images [s]
+LONGEST_LAG_S = 2.0  # lags beyond it show the fitted scene, not the camera [s]
+MOST_SHARE = 0.8  # of a variance that is correlated: the rest is no camera's noise
+LEAST_SHARE = 0.05  # of a variance, that correlated noise has to have to be there at all
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,8 @@ class NoiseResult:
         distance_outliers: share of the readings.
         lateral, lateral_slope, depth_factor, angle, angle_slope: of the camera, as in
             ``CameraNoise`` [m, m/m, 1, rad, rad/m].
+        lasting, lasting_s: of the camera's noise that is correlated from image to image, as in
+            ``CameraNoise``; ``lateral``, ``depth_factor`` and ``angle`` are without it.
         honesty: the camera's errors over those it states.
         camera_outliers: share of the images.
         force, torque: deviation of a reading, mean of the axes [N, Nm].
@@ -53,6 +59,8 @@ class NoiseResult:
     depth_factor: Outcome
     angle: Outcome
     angle_slope: Outcome
+    lasting: Outcome
+    lasting_s: Outcome
     honesty: Outcome
     camera_outliers: Outcome
     force: Outcome
@@ -64,8 +72,8 @@ def identify_noise(
 ) -> NoiseResult:
     """Return the noise of every sensor."""
     distance, resolution, wild = distance_noise([trace.distances for trace in traces])
-    lateral, slope, depth, angle, angle_slope, honesty, wild_images = camera_noise(
-        scene, seen, camera
+    lateral, slope, depth, angle, angle_slope, lasting, lasting_s, honesty, wild_images = (
+        camera_noise(scene, seen, camera)
     )
     force, torque = wrench_noise(traces)
     return NoiseResult(
@@ -77,6 +85,8 @@ def identify_noise(
         depth_factor=depth,
         angle=angle,
         angle_slope=angle_slope,
+        lasting=lasting,
+        lasting_s=lasting_s,
         honesty=honesty,
         camera_outliers=wild_images,
         force=force,
@@ -170,9 +180,9 @@ def _windows(times: Array, values: Array, window: float, order: int) -> list[tup
 def camera_noise(
     scene: SceneFit | None, seen: Sequence[Views], camera: Camera
 ) -> tuple[Outcome, ...]:
-    """Return lateral, slope, depth factor, angle, slope, honesty and outliers of the camera."""
+    """Return the camera's outcomes, in the order of ``NoiseResult``."""
     if scene is None:
-        return (Refusal("too few images of the object in free space"),) * 7
+        return (Refusal("too few images of the object in free space"),) * 9
     errors = np.concatenate(
         [scenes.residuals(scene, i, view, camera) for i, view in enumerate(seen)]
     )
@@ -189,7 +199,92 @@ def camera_noise(
     ratio = float(np.sqrt(np.mean((e / stated[good]) ** 2)))
     honesty = Estimate(ratio, ratio / math.sqrt(12.0 * len(e)), basis)
     outliers = Estimate(wild / len(good), math.sqrt(max(wild, 1)) / len(good), basis)
-    return (*position, angle[0], angle[1], honesty, outliers)
+    if not isinstance(position[0], Estimate) or not isinstance(angle[0], Estimate):
+        unknown = Refusal("the camera's noise is not known")
+        return (*position, *angle, unknown, unknown, honesty, outliers)
+    level = np.column_stack([_level(outcomes[:2], ranges) for outcomes in (position, angle)])
+    # Along the line of sight other errors are larger.
+    units = errors[:, [0, 1, 3, 4, 5]] / level[:, [0, 0, 1, 1, 1]]
+    ends = np.cumsum([len(view.times) for view in seen])[:-1]
+    blocks = [
+        (view.times[kept], rows[kept])
+        for view, rows, kept in zip(seen, np.split(units, ends), np.split(good, ends), strict=True)
+    ]
+    share, lasting_s = correlated_share(blocks)
+    position, angle, lasting = _without(position, angle, share)
+    return (*position, *angle, lasting, lasting_s, honesty, outliers)
+
+
+def _level(outcomes: Sequence[Outcome], ranges: Array) -> Array:
+    """Return the deviation (m,) at distances (m,)."""
+    zero, slope = (o.value if isinstance(o, Estimate) else 0.0 for o in outcomes)
+    return np.asarray(zero + slope * ranges)
+
+
+def correlated_share(blocks: Sequence[tuple[Array, Array]]) -> tuple[Outcome, Outcome]:
+    """Return the share of a variance that is correlated from image to image, and for how long [s].
+
+    The fit of ``a exp(-lag / tau)`` to the autocovariance of errors (Gauss-Markov). Independent
+    noise is in lag 0 alone, which does not count.
+
+    Args:
+        blocks: exposures (m,) [s] and errors (m, n) of variance 1 of each recording.
+    """
+    classes = round(LONGEST_LAG_S / LAG_S)
+    lags, sums, counts = np.zeros(classes), np.zeros(classes), np.zeros(classes)
+    images, whole_s = 0, 0.0
+    for times, errors in blocks:
+        late = np.abs(times[:, None] - times[None])
+        later = np.triu(late < LONGEST_LAG_S, 1)
+        where, products = (late[later] / LAG_S).astype(int), errors.dot(errors.T)[later]
+        lags += np.bincount(where, late[later], classes)[:classes]
+        sums += np.bincount(where, products / errors.shape[1], classes)[:classes]
+        counts += np.bincount(where, minlength=classes)[:classes]
+        images, whole_s = images + len(times), whole_s + float(np.ptp(times))
+    known = counts > 0.0
+    if images < LEAST or known.sum() < 3:
+        refusal = Refusal("fewer than a hundred images of the object in free space")
+        return refusal, refusal
+    lag, covariance, weight = (
+        lags[known] / counts[known],
+        sums[known] / counts[known],
+        counts[known],
+    )
+    best = (math.inf, 0.0, LAG_S)
+    for tau in np.geomspace(LAG_S, LONGEST_LAG_S, 40):
+        shape = np.exp(-lag / tau)
+        share = float((weight * shape).dot(covariance) / (weight * shape).dot(shape))
+        cost = float(weight.dot((covariance - share * shape) ** 2))
+        best = min(best, (cost, share, float(tau)))
+    _, share, tau = best
+    n = blocks[0][1].shape[1]
+    # Values that are correlated over tau count once in 2 tau.
+    deviation = math.sqrt(2.0 / (n * whole_s / (2.0 * tau))) * max(share, 1.0 / math.sqrt(images))
+    basis = f"{images} images"
+    if share < max(LEAST_SHARE, 2.0 * deviation):
+        return Estimate(0.0, deviation, basis), Refusal("each image errs by itself")
+    share = min(share, MOST_SHARE)
+    return Estimate(share, deviation, basis), Estimate(tau, tau * deviation / share, basis)
+
+
+def _without(
+    position: Sequence[Outcome], angle: Sequence[Outcome], share: Outcome
+) -> tuple[tuple[Outcome, ...], tuple[Outcome, ...], Outcome]:
+    """Return deviations without their correlated part, and that part in units of them."""
+    if not isinstance(share, Estimate):
+        return tuple(position), tuple(angle), share
+    rest = math.sqrt(1.0 - share.value)
+    smaller = [
+        replace(outcome, value=outcome.value * rest) if isinstance(outcome, Estimate) else outcome
+        for outcome in (*position[:2], *angle[:2])
+    ]
+    depth = position[2]
+    if isinstance(depth, Estimate):
+        left = max(depth.value**2 - share.value, 0.25 * depth.value**2)
+        depth = replace(depth, value=math.sqrt(left) / rest)
+    part = math.sqrt(share.value) / rest
+    lasting = Estimate(part, share.deviation / max(2.0 * part, 0.1), share.basis)
+    return (smaller[0], smaller[1], depth), (smaller[2], smaller[3]), lasting
 
 
 def _growing(e: Array, d: Array, basis: str, *, depth: bool) -> tuple[Outcome, ...]:

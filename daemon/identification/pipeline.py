@@ -380,8 +380,10 @@ def _noise_overlay(settings: TrackingSettings, noise: NoiseResult) -> dict[str, 
             ("depth_factor", noise.depth_factor),
             ("angle", noise.angle),
             ("angle_slope", noise.angle_slope),
+            ("lasting", noise.lasting),
+            ("lasting_s", noise.lasting_s),
         )
-        if isinstance(outcome, Estimate) and outcome.value > 0.0
+        if isinstance(outcome, Estimate) and (outcome.value > 0.0 or name == "lasting")
     }
     if camera:
         tracking["camera"] = camera
@@ -513,6 +515,8 @@ def _noise_findings(noise: NoiseResult, settings: TrackingSettings) -> list[Repo
         ReportLine("camera depth factor", "", 1.0, noise.depth_factor, in_overlay=True),
         ReportLine("camera angle noise at 0 m", "mrad", 1e3, noise.angle, in_overlay=True),
         ReportLine("camera angle noise slope", "mrad/m", 1e3, noise.angle_slope, in_overlay=True),
+        ReportLine("camera noise that lasts", "", 1.0, noise.lasting, in_overlay=True),
+        ReportLine("time that it lasts", "s", 1.0, noise.lasting_s, in_overlay=True),
         ReportLine("camera error over stated", "", 1.0, noise.honesty),
         ReportLine("camera outliers", "%", 1e2, noise.camera_outliers),
         ReportLine("force noise", "mm", soft, noise.force, in_overlay=True),

@@ -8,7 +8,12 @@ from traces import CAMERA, Array, Sight, ringing, seen, trace, without
 
 from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.identification import scene_fit
-from linemate.daemon.identification.noise import distance_noise, identify_noise, wrench_noise
+from linemate.daemon.identification.noise import (
+    correlated_share,
+    distance_noise,
+    identify_noise,
+    wrench_noise,
+)
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.swing import find_swings
 from linemate.simulators.plants.scenario import Effector
@@ -112,3 +117,24 @@ def test_nothing_recorded_is_refused_everywhere() -> None:
     found = identify_noise([trace()], None, [], CAMERA)
     for outcome in (found.distance, found.lateral, found.force):
         assert isinstance(outcome, Refusal)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_noise_that_is_correlated_from_image_to_image_is_told_from_the_rest(share: float) -> None:
+    chance = np.random.default_rng(7)
+    blocks = []
+    for _ in range(4):
+        times = np.arange(0.0, 30.0, 0.03)
+        kept, lasting = math.exp(-0.03 / 0.5), chance.standard_normal(5)
+        errors = np.empty((len(times), 5))
+        for i in range(len(times)):
+            lasting = kept * lasting + math.sqrt(1.0 - kept * kept) * chance.standard_normal(5)
+            fresh = chance.standard_normal(5)
+            errors[i] = math.sqrt(share) * lasting + math.sqrt(1.0 - share) * fresh
+        blocks.append((times, errors))
+    found, time_s = correlated_share(blocks)
+    assert estimate(found).value == pytest.approx(share, abs=0.06)
+    if share:
+        assert estimate(time_s).value == pytest.approx(0.5, rel=0.25)
+    else:
+        assert isinstance(time_s, Refusal)
