@@ -120,7 +120,7 @@ def test_nothing_recorded_is_refused_everywhere() -> None:
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
-def test_noise_that_is_correlated_from_image_to_image_is_told_from_the_rest(share: float) -> None:
+def test_noise_that_is_correlated_from_image_to_image_is_separated(share: float) -> None:
     chance = np.random.default_rng(7)
     blocks = []
     for _ in range(4):
