@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
@@ -57,6 +58,28 @@ def lead(before: float, off: float, speed: float, dt: float, *, is_whole: bool =
     beyond = lag - min(max(lag, -normal), normal)
     later = before - dt / LEAD_S * beyond / speed
     return min(max(later, -LARGEST_LEAD), LARGEST_LEAD)
+
+
+def ahead(
+    part: Part, lead: float, dt: float, modes: Sequence[SwingMode], relative: Array, *, turned: bool
+) -> Array:
+    """Return what the tcp of an object moves in the lead (m, 6): along its way, and by swings.
+
+    A robot that lags does so in each direction: a body that swings across bends the mount as well.
+
+    Args:
+        lead: less than 0 for a robot that is quicker than its servo models [s].
+        dt: between the steps of the horizon [s].
+        relative: (m, 6) programmed tcp in the nominal object.
+        turned: the programme turns the tcp against the object.
+    """
+    later = replace(
+        part,
+        along=part.along + lead * np.gradient(part.along, dt),
+        swing=part.swing + lead * np.gradient(part.swing, dt, axis=1),
+    )
+    (now, _), (then, _) = (sensed(p, modes, relative, turned=turned) for p in (part, later))
+    return np.asarray(then - now)
 
 
 def sensed(

@@ -239,7 +239,7 @@ def track(
         target, part = _complied(tracker, state, target, part)
         target = bolt_search.turned(target, state.bolts, span)
         state, goal = _blend(tracker, state, goal, target)
-        state, goal = _lead(tracker, state, view, goal, along)
+        state, goal = _lead(tracker, state, view, goal, along, relative)
     if stood or state.anchor is not None:
         state, goal = _anchor(state, goal)
     if state.withdrawn is not None:
@@ -295,7 +295,12 @@ def _blend(
 
 
 def _lead(
-    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, goal: Array, along: Array
+    tracker: Tracker,
+    state: TrackerState,
+    view: ConveyorEstimate | None,
+    goal: Array,
+    along: Array,
+    relative: Array,
 ) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) ahead of the object for a robot that lags.
 
@@ -303,6 +308,7 @@ def _lead(
 
     Args:
         along: (m,) or longer: positions of the object along the conveyor [m].
+        relative: (m, 6) the programmed tcp in the object.
     """
     is_steady = (
         view is not None
@@ -319,11 +325,16 @@ def _lead(
         state = state if lead == state.lead else replace(state, lead=lead)
     if state.lead == 0.0:
         return state, goal
-    if not is_blended(state):
+    if not is_blended(state) or state.transverse is None:
         return replace(state, lead=0.0), goal
-    ahead = goal.copy()
-    ahead[:, merge.ALONG] += state.lead * np.gradient(along[: len(goal)], tracker.cycle_s)
-    return state, ahead
+    filtered = tracker.transverse
+    estimate = filtered.believed(state.transverse)
+    swing = filtered.swing_angles(estimate, tracker.span)
+    part = _part(tracker, estimate, along[: len(goal)], swing)
+    lead, turned = state.lead, tracker.reference.turned
+    modes = filtered.swing
+    moved = approach.ahead(part, lead, tracker.cycle_s, modes, relative, turned=turned)
+    return state, goal + moved
 
 
 def _going_on(tracker: Tracker, state: TrackerState, goal: Array, limit: float) -> Array:
@@ -692,15 +703,26 @@ def _sensed_poses(
     swing = filtered.swing_angles(estimate, ahead)
     if added.any():  # zeros in contact, a third of a task
         swing += filtered.driven_angles(estimate, ahead, added)
-    part = approach.Part(
+    part = _part(tracker, estimate, along, swing)
+    return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
+
+
+def _part(tracker: Tracker, estimate: TransverseState, along: Array, swing: Array) -> approach.Part:
+    """Return the object at some times.
+
+    Args:
+        estimate: as it is believed.
+        along: (m,) predicted positions along the conveyor [m].
+        swing: (modes, m) predicted angles [rad].
+    """
+    return approach.Part(
         x=float(estimate.x[0]),
         z=float(estimate.x[1]),
         along=along,
         rotation=estimate.rotation,
         swing=swing,
-        slopes=filtered.slopes(estimate),
+        slopes=tracker.transverse.slopes(estimate),
     )
-    return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
 
 
 def _advance_axis(

@@ -100,6 +100,28 @@ def test_the_tcp_next_to_a_swinging_object_is_within_a_few_micrometres() -> None
             assert np.abs(turn).max() < 1e-5
 
 
+@pytest.mark.parametrize("lead", [0.024, -0.05])
+def test_the_goal_of_a_robot_that_lags_is_the_object_later_in_each_direction(lead: float) -> None:
+    times, relative = 0.012 * np.arange(41), np.tile((0.01, 0.0, -0.02, 0.0, 0.0, 0.0), (41, 1))
+
+    def seen(at: Array) -> Part:
+        swing = WIDTH * np.sin(2.0 * np.pi * 0.62 * at)
+        return Part(-1.06, 2.17, 0.3 + 0.106 * at, rotations.exp(TILT), swing[None])
+
+    now, later = (
+        approach.sensed(seen(t), (MODE,), relative, turned=False)[0] for t in (times, times + lead)
+    )
+    moved = approach.ahead(seen(times), lead, 0.012, (MODE,), relative, turned=False)
+    assert np.abs(later - now)[:, 0].max() > 1e-4, "across as well"
+    assert np.abs(now + moved - later)[1:-1].max() < 2e-4
+
+
+def test_the_goal_of_a_robot_that_lags_leads_an_object_that_does_not_swing_along_its_way() -> None:
+    still = Part(-1.0, 2.0, 0.106 * 0.012 * np.arange(9), np.eye(3), np.zeros((0, 9)))
+    moved = approach.ahead(still, 0.05, 0.012, (), np.zeros((9, 6)), turned=False)
+    assert np.allclose(moved, (0.0, 0.05 * 0.106, 0.0, 0.0, 0.0, 0.0))
+
+
 def test_two_swings_add_up() -> None:
     other = SwingMode(axis=0, frequency_hz=0.9, levers=(0.0, 0.4, 0.1))
     angles = np.array(((0.004, -0.002), (0.003, 0.005)))
