@@ -1,7 +1,9 @@
 """Proof of a touch: a force that is more than the tool's advance gives."""
 
+import numpy as np
 import pytest
 
+from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.touch import touch_proof
 
 DT, STIFFNESS = 0.012, 50e3
@@ -33,6 +35,20 @@ def test_a_force_that_drifts_on_after_the_touch_is_doubted(rate: float) -> None:
 
 def test_a_tool_that_ran_far_into_the_object_is_not_doubted() -> None:
     assert doubted_after(0.0, 0.004) is None
+
+
+@pytest.mark.parametrize(("quicker", "doubted"), [(0.0, True), (0.0012, False), (-0.001, True)])
+def test_a_robot_that_is_ahead_of_its_plan_presses_by_that_more(
+    quicker: float, *, doubted: bool
+) -> None:
+    planned = np.array((0.3, 0.1, 2.0, 0.0, 0.5, 0.0))
+    tcp = planned.copy()
+    tcp[:3] += quicker * rotations.exp(planned[3:])[:, 2]
+    beyond_s, push = 0.0, 190.0
+    for k in range(20):
+        advance = touch_proof.advance(0.001, tcp, planned)
+        beyond_s = touch_proof.advanced(beyond_s, push, advance, STIFFNESS, k * DT, DT)
+    assert touch_proof.is_doubted(beyond_s) is doubted
 
 
 def test_a_touch_that_was_proved_is_not_doubted_later() -> None:

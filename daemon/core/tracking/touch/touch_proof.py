@@ -9,10 +9,27 @@ Invariants:
 - A touch that stood for ``PROVEN_S`` is not doubted any more: an object may come nearer later.
 """
 
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+
 SETTLED_S = 0.1  # after a touch the tool still runs on what was commanded [s]
 PROVEN_S = 0.5  # after it the touch is proved [s]
 EXCESS_M = 0.002  # of the mount's bend beyond the tool's advance: no object comes so near [m]
 DOUBTED_S = 0.03  # for which the force must be beyond it [s]
+
+
+def advance(programmed: float, tcp: Array, planned: Array) -> float:
+    """Return how far the tool is beyond the object [m].
+
+    A robot that is quicker than its servo models is ahead of its plan, and presses by that more.
+
+    Args:
+        programmed: along the tool's axis, from the object [m].
+        tcp: (6,) measured, at the time of the planned one [m, rad].
+        planned: (6,) the tcp that the plan has [m, rad].
+    """
+    ahead = rotations.exp(planned[3:])[:, 2].dot(tcp[:3] - planned[:3])
+    return max(programmed, 0.0) + max(float(ahead), 0.0)
 
 
 def advanced(
@@ -23,7 +40,7 @@ def advanced(
     Args:
         beyond_s: the same a step before.
         push: force by which the object pushes the tool back [N].
-        advance: programmed, of the tcp beyond the object [m].
+        advance: of the tool beyond the object, not negative [m].
         stiffness: of the mount along the tool's axis [N/m].
         touching: time since the touch [s].
         dt: since the step before [s].
@@ -31,7 +48,7 @@ def advanced(
     if is_doubted(beyond_s):
         return beyond_s
     is_due = SETTLED_S < touching < PROVEN_S
-    is_beyond = push > stiffness * (max(advance, 0.0) + EXCESS_M)
+    is_beyond = push > stiffness * (advance + EXCESS_M)
     return beyond_s + dt if is_due and is_beyond else 0.0
 
 
