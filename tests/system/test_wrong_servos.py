@@ -8,27 +8,10 @@ from linemate.simulators.judge.judge import judge
 LARGEST_N = 160.0  # at a contact with a tool that lags
 
 
-class ForceError(AssertionError):
-    """The force in contact is beyond its limit; nothing else is wrong."""
-
-
 @pytest.mark.row
 @pytest.mark.parametrize(
     ("key", "factor", "shift"),
-    [
-        ("dead_time", 1.0, -0.024),
-        pytest.param(
-            "frequency_hz",
-            0.5,
-            0.0,
-            marks=pytest.mark.xfail(
-                reason="181 N: the clamp opens within a slow swing, after the longest wait",
-                raises=ForceError,
-                strict=True,
-            ),
-        ),
-        ("frequency_hz", 2.0, 0.0),
-    ],
+    [("dead_time", 1.0, -0.024), ("frequency_hz", 0.5, 0.0), ("frequency_hz", 2.0, 0.0)],
 )
 def test_a_robot_whose_servos_are_misjudged_assembles(
     key: str, factor: float, shift: float
@@ -41,5 +24,4 @@ def test_a_robot_whose_servos_are_misjudged_assembles(
     result = judge(run)
     assert run.collision is None
     assert result["assembled"]
-    if result["contact_force_n"]["max"] >= LARGEST_N:
-        raise ForceError(result["contact_force_n"]["max"])
+    assert result["contact_force_n"]["max"] < LARGEST_N

@@ -20,7 +20,8 @@ CATCH_UP_SPEED = 0.25  # of one that begins late, when the object has gone far [
 
 NORMAL_LAG = 0.0008  # of a tcp along the conveyor behind its plan, by servos identified well [m]
 LEAD_S = 1.0  # time constant with which a lag is made up for: ten dead times [s]
-LARGEST_LEAD = 0.05  # of the goal before the object [s]
+# Of the goal before the object: dead time and lag of a servo of 4 Hz. None is quicker than at once.
+LARGEST_LEAD = 0.1  # [s]
 
 
 class Part(Struct, frozen=True, eq=False):
@@ -58,6 +59,15 @@ def lead(before: float, off: float, speed: float, dt: float, *, is_whole: bool =
     beyond = lag - min(max(lag, -normal), normal)
     later = before - dt / LEAD_S * beyond / speed
     return min(max(later, -LARGEST_LEAD), LARGEST_LEAD)
+
+
+def is_quicker(lead: float, nominal_speed: float) -> bool:
+    """Return whether a robot is ahead of its servo models by more than identified ones leave.
+
+    Args:
+        nominal_speed: of the object [m/s].
+    """
+    return -lead * nominal_speed > NORMAL_LAG
 
 
 def ahead(

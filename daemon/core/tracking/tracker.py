@@ -245,7 +245,7 @@ def track(
     if state.withdrawn is not None:
         state, goal = _withdraw(tracker, state, goal, part)
     goal = merge.rounded(goal, tracker.corner)
-    plan = tracker.merge_plan(in_contact=state.contact, retreats=retreat)
+    plan = tracker.merge_plan(in_contact=state.contact, retreats=retreat, lead=state.lead)
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)
     state = _advance_axis(tracker, state, view, along)
     state = replace(state, poses=poses, calming=calming, distance=float(relative[0, 2]))

@@ -10,6 +10,7 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.approach import is_quicker
 from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
     AS_CONFIGURED,
     MeasuredNoise,
@@ -115,11 +116,20 @@ class Tracker:
         """The last step that no list changes."""
         return self.merge_free.commit
 
-    def merge_plan(self, *, in_contact: bool, retreats: bool = False) -> MergePlan:
-        """Return the parameters of the merge."""
+    def merge_plan(
+        self, *, in_contact: bool, retreats: bool = False, lead: float = 0.0
+    ) -> MergePlan:
+        """Return the parameters of the merge.
+
+        Servos that are quicker than their models amplify quick motion: by four if twice as quick.
+
+        Args:
+            lead: of the goal before the object [s].
+        """
         if not in_contact:
             return self.merge_free
-        return self.merge_retreating if retreats else self.merge_clamped
+        is_slow = retreats or is_quicker(lead, self.task.conveyor.nominal_speed)
+        return self.merge_retreating if is_slow else self.merge_clamped
 
 
 @lru_cache(maxsize=4)
