@@ -66,6 +66,21 @@ def test_an_emergency_stop_is_no_step() -> None:
     assert as_stated > 10
 
 
+@pytest.mark.parametrize("since_s", [0.1, 0.12, 0.14])
+def test_a_fast_stop_is_no_step(since_s: float) -> None:
+    """A stop of 0.24 m/s^2 was taken for a step of 2 mm by a sensor that missed no reading."""
+    steps = [find(stopping(since_s, seed, share=2.3)) for seed in range(100)]
+    assert steps.count(None) >= 99
+
+
+def test_a_step_of_a_sensor_that_misses_no_reading_is_one() -> None:
+    for seed in range(20):
+        ages = steady_ages()
+        step = find(readings(np.where(ages < 0.06, -3e-3, 0.0), ages, seed))
+        assert step is not None
+        assert step.is_certain
+
+
 @pytest.mark.parametrize("since_s", [0.16, 0.2, 0.3])
 @pytest.mark.parametrize("at", [-2, -3, -4])
 def test_an_outlier_next_to_a_stop_is_no_step(at: int, since_s: float) -> None:
