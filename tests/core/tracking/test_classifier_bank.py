@@ -730,6 +730,24 @@ def test_a_step_of_a_coarse_distance_sensor_leaves_the_object_where_it_was(
     assert state.age == pytest.approx(t)
 
 
+def test_a_distance_sensor_that_becomes_late_in_contact_leaves_the_filter_settled() -> None:
+    """It was widened, and no stop was looked for in the 0.6 s after it: 212 N."""
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
+    rng, state, widened, late_s = np.random.default_rng(3), bank.initial(0.0), False, 0.02
+    for k in range(1, round(2.6 / T0)):
+        t, rows = k * T0, []
+        if not 2.0 < t < 2.0 + late_s:
+            read = NOMINAL * (t - (late_s if t > 2.0 else 0.0)) + rng.normal(0.0, 2e-4)
+            rows.append(PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0))
+        if t > 1.0:
+            felt = NOMINAL * t + rng.normal(0.0, 1e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, felt, 0.001, 25e-10, 20.0))
+        before, state = state, bank.advance(state, rows, T0)
+        widened = widened or takes_again(before, state)
+    assert widened
+    assert state.age == pytest.approx(t)
+
+
 def test_a_coarse_distance_sensor_that_repeats_itself_is_not_frozen() -> None:
     """Its step of 30 mm was rejected for so long that it was taken for a speed of 0.22 m/s."""
     deviation, cycle_s, stepped_s = 0.004, 0.01, 2.4056  # just when the reading changes

@@ -44,7 +44,8 @@ FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeat
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
 AROUND = 3  # readings before and after a step whose medians are compared
 STEP_SIGMAS = 3.0  # by which the speed of readings that run on may differ
-STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a stop may explain it
+STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a conveyor may explain it
+LARGEST_RAMP = 1.0  # acceleration that no conveyor exceeds [m/s^2]
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
 CREEP_DEVIATION = 0.0005  # of the lasting speed of a conveyor that stands [m/s]
 SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
@@ -375,7 +376,8 @@ def _widened(
 def _has_stepped(model: BankModel, state: BankState, nu: float, count: int) -> bool:
     """Return whether the distance sensor stepped, and its rejected readings run on as before.
 
-    No conveyor goes so far from one reading to the next, not even one that stops at once.
+    No conveyor that is as fast after it goes so far from one reading to the next, not even one that
+    brakes and speeds up again. A sensor that becomes late shows nothing for as long.
 
     Args:
         nu: innovation of the newest reading [m].
@@ -389,9 +391,9 @@ def _has_stepped(model: BankModel, state: BankState, nu: float, count: int) -> b
     way = values + speed * ages
     first = len(way) - count
     step = float(np.median(way[first : first + AROUND]) - np.median(way[first - AROUND : first]))
-    stopped = abs(speed) * float(ages[first - 1] - ages[first])
+    slowed = 0.25 * LARGEST_RAMP * float(ages[first - 1] - ages[first]) ** 2
     runs_on = abs(rate[0] - speed) < STEP_SIGMAS * model.distance_deviation / math.sqrt(rate[1])
-    return runs_on and max(abs(step - nu), stopped) < STEP_SHARE * abs(nu)
+    return runs_on and max(abs(step - nu), slowed) < STEP_SHARE * abs(nu)
 
 
 def _speed_variance(model: BankModel, state: BankState) -> float:
