@@ -155,6 +155,21 @@ def is_before_contact(tracker: Tracker, state: TrackerState) -> bool:
     return (not state.contact or is_late) and not is_released
 
 
+def is_about_to_touch(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether the tool is to touch the object before a new goal is taken up.
+
+    The greater part of what a merge changes acts on a clamped tool then. A touch that is overdue
+    may not come.
+    """
+    is_going = state.go.order is GoOrder.GO and state.withdrawn is None and is_blended(state)
+    if state.contact or not is_going or not is_before_contact(tracker, state):
+        return False
+    plan, T0 = tracker.merge_clamped, tracker.cycle_s
+    taken_up_s = plan.committed_s + T0 * merge.delay(plan.matrices[merge.ALONG])
+    touch = tracker.reference.contact_time
+    return touch - taken_up_s <= state.time < tracker.search_time
+
+
 def advance_clock(
     tracker: Tracker,
     state: TrackerState,

@@ -31,6 +31,7 @@ from linemate.daemon.core.tracking.task_clock import (
     LARGEST_BEND,
     advance_clock,
     elapsed,
+    is_about_to_touch,
     is_before_contact,
     is_blended,
     open_gates,
@@ -245,7 +246,8 @@ def track(
     if state.withdrawn is not None:
         state, goal = _withdraw(tracker, state, goal, part)
     goal = merge.rounded(goal, tracker.corner)
-    plan = tracker.merge_plan(in_contact=state.contact, retreats=retreat, lead=state.lead)
+    in_contact = state.contact or (not retreat and is_about_to_touch(tracker, state))
+    plan = tracker.merge_plan(in_contact=in_contact, retreats=retreat, lead=state.lead)
     poses, calming = merge.merge(state.poses, goal, plan, state.calming)
     state = _advance_axis(tracker, state, view, along)
     state = replace(state, poses=poses, calming=calming, distance=float(relative[0, 2]))

@@ -343,3 +343,25 @@ def test_a_retreat_begins_with_the_first_command_that_the_robot_gets() -> None:
         assert lost.withdrawn is None
     heard = task_clock.advance_clock(tracker, replace(lost, stood=0.0), None, SAMPLES, retreat=True)
     assert heard.withdrawn == 0.0
+
+
+def test_a_tool_is_about_to_touch_while_a_goal_is_taken_up_until_its_touch_is_overdue() -> None:
+    """Merged for a tool that hangs free until the contact was felt: 253 N, now 181 N."""
+    tracker = compiled()
+    T0, touch, overdue = tracker.cycle_s, tracker.reference.contact_time, tracker.search_time
+    near = at_rest(tracker, np.zeros(6), 0.0)
+    near = replace(near, started=True, blended=10.0, blend_s=1.0, time=touch)
+    ahead = np.arange(0.0, 0.2, T0)
+    about = [
+        task_clock.is_about_to_touch(tracker, replace(near, time=touch - each)) for each in ahead
+    ]
+    assert tracker.merge_clamped.committed_s < T0 * sum(about) < 0.11
+    assert about == sorted(about, reverse=True)
+    for change in (
+        {"time": overdue},
+        {"contact": True},
+        {"withdrawn": 0.0},
+        {"blended": None},
+        {"go": GoState(GoOrder.STAND)},
+    ):
+        assert not task_clock.is_about_to_touch(tracker, replace(near, **change))
