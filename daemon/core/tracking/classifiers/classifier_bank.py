@@ -5,6 +5,7 @@ u seconds ago, whose acceleration is known to some share, and, in contact, an im
 of the body. A change counts by its odds against no change *and* against an impulse.
 """
 
+import dataclasses as dc
 import math
 from collections.abc import Sequence
 
@@ -30,6 +31,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     ACCELERATION,
     IMPULSE,
     IMPULSE_QUADRATURE,
+    MISSED_ODDS,
     NEXT,
     OFFSET,
     RAMPS,
@@ -296,7 +298,8 @@ class BankClassifier(BankModel):
         if faster is None or not self._shows_faster(state, faster):
             return None
         result = faster.posterior()
-        if result.odds < max(0.0, state.change.odds):
+        # That the class has ended is as seldom as it is for the prediction.
+        if result.odds < max(0.0, state.change.odds - self.bank.penalty):
             return None
         mean, spread = onset_bank.merge_moments(faster.bank, -faster.bank.error, result)
         return replace(
@@ -333,7 +336,8 @@ class BankClassifier(BankModel):
         prior, bank, usual = self._faster_prior(state), state.changes, state.change
         if prior is None or state.motion in RAMPS or usual.variance != self.change_prior.variance:
             return None
-        wider = onset_bank.posterior(bank, prior)
+        # The tool is ahead of the object: if it takes a usual stop for a faster one, it waits.
+        wider = onset_bank.posterior(bank, dc.replace(prior, odds=MISSED_ODDS))
         if wider.odds < EXPLAINED:
             return None
         nominal, weights, shares = self.changes[state.motion], wider.weights, wider.amplitudes
