@@ -6,7 +6,13 @@ from conveyor_truth import START, STOP, Story, Truth, tell
 from msgspec.structs import replace
 
 from linemate.daemon.core.tracking.classifiers import classifier_bank, guide, onset_bank
-from linemate.daemon.core.tracking.classifiers.bank_model import ACCELERATION, STATES, BankState, V
+from linemate.daemon.core.tracking.classifiers.bank_model import (
+    ACCELERATION,
+    MISSED_ODDS,
+    STATES,
+    BankState,
+    V,
+)
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior
 from linemate.daemon.core.tracking.conveyor import PositionMeasurement, Source
@@ -85,6 +91,22 @@ def confirmed(seed: int) -> BankState:
     story = tell(BANK, Truth(2.6, ((1.0, -3.0 * STOP),), seed=seed))
     states: list[BankState] = story.states
     return next(state for state in states if state.faster is not None)
+
+
+@pytest.mark.parametrize("followed", [False, True])
+def test_a_faster_stop_needs_more_once_the_tool_has_followed(
+    monkeypatch: pytest.MonkeyPatch, followed: bool
+) -> None:
+    """Readings in steps of 1 cm took a stop as stated for a faster one then: 223 N."""
+    monkeypatch.setattr(BankClassifier, "_shows_faster", lambda *_: True)
+    state = confirmed(0)
+    assert state.faster is not None
+    assert state.faster.ahead_odds == pytest.approx(MISSED_ODDS + 4.6, abs=0.01)
+    lent = 0.5 * state.faster.ahead_odds
+    faster = replace(state.faster, odds=state.faster.odds + lent - state.faster.posterior().odds)
+    faster.bank.sums[2] = faster.ahead_until + (0.001 if followed else -0.001)
+    taken = BANK._as_faster(replace(state, faster=faster))
+    assert (taken is None) is followed
 
 
 def test_a_faster_change_stays_what_it_is_as_an_impulse_is_accepted() -> None:

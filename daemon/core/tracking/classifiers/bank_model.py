@@ -99,6 +99,8 @@ class FasterChange(Struct, frozen=True, eq=False):
         variance: of its amplitude, before what its sums contain.
         acceleration, usual: that the faster and the usual change add [m/s^2].
         speed: steady one before them [m/s].
+        ahead_until: time since its onset until which the tool is ahead of the object [s].
+        ahead_odds: log odds that count until then alone.
     """
 
     bank: OnsetBank
@@ -107,6 +109,8 @@ class FasterChange(Struct, frozen=True, eq=False):
     acceleration: float
     usual: float
     speed: float
+    ahead_until: float = math.inf
+    ahead_odds: float = 0.0
 
     def posterior(self) -> OnsetPosterior:
         """Return the posterior of the hypothesis."""
