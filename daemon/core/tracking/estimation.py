@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers import stop_input
+from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.distance import measured_noise
 from linemate.daemon.core.tracking.classifiers.distance.measured_noise import MeasuredNoise
 from linemate.daemon.core.tracking.conveyor import (
@@ -103,7 +104,8 @@ def estimate(
     )
     leaning = _leaning(tracker, state, wrench)
     transverse = _correct_held(tracker, state, seen, history, samples, wrench, leaning, rows)
-    conveyor, readings = _follow_conveyor(tracker, state, rows)
+    engaged = _engaged(tracker, state, seen, history, samples, wrench)
+    conveyor, readings = _follow_conveyor(tracker, state, rows, engaged)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
     state = replace(
         state,
@@ -167,19 +169,29 @@ def _see(
 
 
 def _follow_conveyor(
-    tracker: Tracker, state: TrackerState, rows: list[PositionMeasurement]
+    tracker: Tracker,
+    state: TrackerState,
+    rows: list[PositionMeasurement],
+    engaged: PositionMeasurement | None,
 ) -> tuple[Any, tuple[float, ...]]:
-    """Return the conveyor's state one step later, and the distances of its start [m]."""
-    conveyor, readings = state.conveyor, state.readings
-    if conveyor is None:
+    """Return the conveyor's state one step later, and the distances of its start [m].
+
+    Args:
+        engaged: where bolts in their holes hold the object.
+    """
+    classifier, before, readings = tracker.classifier, state.conveyor, state.readings
+    if before is None:
         recent = (*readings, *(row.value for row in rows if row.source is Source.DISTANCE))
         readings = recent[-FIRST_READINGS:]
-        if len(readings) == FIRST_READINGS and max(readings) - min(readings) < FIRST_SPREAD:
-            conveyor = tracker.classifier.initial(readings[-1])
-        return conveyor, readings
+        if len(readings) < FIRST_READINGS or max(readings) - min(readings) >= FIRST_SPREAD:
+            return None, readings
+        return classifier.initial(readings[-1]), readings
     if state.announced_s == 0.0:
-        conveyor = tracker.classifier.announce_stop(conveyor)
-    return tracker.classifier.advance(conveyor, _shown(tracker, rows), tracker.cycle_s), readings
+        before = classifier.announce_stop(before)
+    after = classifier.advance(before, _shown(tracker, rows), tracker.cycle_s)
+    if engaged is not None and isinstance(classifier, BankClassifier):
+        after = classifier.hang(before, after, engaged, tracker.cycle_s)
+    return after, readings
 
 
 def _pulled(tracker: Tracker, state: TrackerState, wrench: Wrench | None) -> tuple[Vector3, float]:
@@ -692,6 +704,30 @@ def _correct_held(
     if is_accepted:
         rows.append(_along_measurement(tracker, transverse, Source.CAMERA, held, HELD_GATE))
     return transverse
+
+
+def _engaged(
+    tracker: Tracker,
+    state: TrackerState,
+    transverse: TransverseState | None,
+    history: History | None,
+    samples: StepSamples,
+    wrench: Wrench | None,
+) -> PositionMeasurement | None:
+    """Return where along the conveyor bolts in their holes hold the object."""
+    mount, is_free = tracker.settings.tactile, state.started and not state.contact
+    if not is_free or not held_bolts.are_in(tracker.settings.payload.bolts, state.distance):
+        return None
+    bending = tare.bending(state.tare, wrench, mount)
+    if history is None or wrench is None or bending is None:
+        return None
+    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+    if tcp is None:
+        return None
+    place = tcp[:3] + rotations.exp(tcp[3:]).dot(bending.force / np.array(mount.stiffness))
+    delay = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
+    held = held_bolts.measured(place, tcp, delay, tracker.cycle_s)
+    return _along_measurement(tracker, transverse, Source.TACTILE, held, HELD_GATE)
 
 
 def _held(

@@ -13,7 +13,7 @@ from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.core.tracking.touch.firmness import Swing
 from linemate.daemon.core.tracking.tracker import at_rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
-from linemate.protocol.stamped_samples import WrenchSample
+from linemate.protocol.stamped_samples import DistanceSample, WrenchSample
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario
 
@@ -85,3 +85,51 @@ def test_a_ring_of_a_body_whose_sway_is_not_identified_hides_what_the_conveyor_d
             state, _, _, _ = estimate(tracker, state, samples)
         assert state.conveyor is not None
         assert state.conveyor.is_keen is keen
+
+
+def stopped_in_holes(bolts: float, followed: float, *, depth: float = 0.01) -> tuple[bool, float]:
+    """Return whether an object hangs as its conveyor stops, and how far it leads off the tool [m].
+
+    Args:
+        bolts: their length from the face [m].
+        followed: share of what the conveyor loses that the object loses as well.
+        depth: of the tool before the object [m].
+    """
+    cell = Setup(Scenario())
+    payload = replace(cell.tracking.payload, bolts=bolts)
+    tracking = replace(cell.tracking, payload=payload)
+    tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
+    speed, stiffness = tracker.task.conveyor.nominal_speed, tracking.tactile.stiffness[1]
+    begun = tracker.task.conveyor.start_position
+    state = structs.replace(contact(tracker), contact=False, started=True, distance=-depth)
+    for k in range(200):
+        now_ns, t = k * 12_000_000, 0.012 * k
+        late = max(t - 1.5, 0.0)
+        lost = 0.5 * 0.5 * late * late
+        pose = np.concatenate((tracker.reference.origin, np.zeros(3)))
+        pose[1] += speed * t
+        read = DistanceSample(now_ns, begun + speed * t - lost)
+        wrench = WrenchSample(now_ns, (0.0, -followed * stiffness * lost, 0.0), (0.0, 0.0, 0.0))
+        samples = StepSamples(now_ns, pose, now_ns, (read,), (), (wrench,), 0)
+        state, view, _, _ = estimate(tracker, state, samples)
+        assert view is None or state.conveyor is not None
+        if view is not None and ("stop", "confirmed") in view.events:
+            return bool(state.conveyor.hangs), view.position - float(pose[1])
+    raise AssertionError
+
+
+def test_an_object_that_bolts_in_their_holes_show_to_hang_goes_on_as_its_conveyor_stops() -> None:
+    hangs, off = stopped_in_holes(0.025, 0.0)
+    assert hangs
+    assert off == pytest.approx(0.0, abs=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("bolts", "followed", "depth"), [(0.0, 0.0, 0.01), (0.025, 1.0, 0.01), (0.025, 0.0, 0.024)]
+)
+def test_an_object_that_nothing_shows_to_hang_stops_with_its_conveyor(
+    bolts: float, followed: float, depth: float
+) -> None:
+    hangs, off = stopped_in_holes(bolts, followed, depth=depth)
+    assert not hangs
+    assert off < -0.001

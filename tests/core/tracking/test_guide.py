@@ -467,6 +467,29 @@ def test_a_correction_of_the_conveyor_is_none_of_an_object_that_hangs() -> None:
     assert speeds[1] == pytest.approx(speeds[0], abs=0.005)
 
 
+def test_what_a_faster_change_adds_is_none_of_an_object_that_hangs_before_the_touch() -> None:
+    before = structs.replace(in_contact(3.0, 0.0)[0], contact=False, guide=None)
+    felt = float(before.x[Y])
+    row = PositionMeasurement(Source.TACTILE, felt + SPEED * DT, 0.0, 3e-5**2, 20.0)
+    x = before.x.copy()
+    x[Y], x[V], x[ACCELERATION] = felt + SPEED * DT - 0.003, SPEED - 0.03, -0.1
+    events = (("stop", "confirmed"),)
+    stopping = structs.replace(before, x=x, motion=Motion.STOPPING, events=events)
+    hanging = BANK.hang(before, stopping, row, DT)
+    assert hanging.hangs
+    x = hanging.x.copy()
+    x[Y], x[V] = x[Y] - 0.002, x[V] - 0.03
+    faster = structs.replace(hanging, x=x, events=(), is_faster=True)
+    row = structs.replace(row, value=row.value + SPEED * DT)
+    after = BANK.hang(hanging, faster, row, DT)
+    speeds = [
+        float(np.ptp(BANK.predict_positions(s, np.array((0.0, 0.02)))) / 0.02)
+        for s in (hanging, after)
+    ]
+    assert speeds == pytest.approx([SPEED, SPEED], abs=0.004)
+    assert float(after.x[Y] + after.x[SWAY]) == pytest.approx(row.value, abs=2e-4)
+
+
 def test_a_target_that_a_hanging_object_leads_mixes_no_change_in() -> None:
     state, _ = stopped_by(0.0, ends=True)
     state = structs.replace(

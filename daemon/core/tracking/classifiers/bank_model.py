@@ -135,6 +135,7 @@ class BankState(Struct, frozen=True, eq=False):
         ripple_factor: frequency of the periodic ripple over the configured one.
         sways: what identifies the sway; None where it is not looked for.
         sway_omega: its frequency [rad/s], 0 before it is found.
+        hangs: that sway is the one of an object that bolts in their holes have shown to hang.
         age: of the estimate [s].
         class_age: time since the class began to act [s].
         within_ramp: it began on a ramp: before it there was no steady motion.
@@ -173,6 +174,7 @@ class BankState(Struct, frozen=True, eq=False):
     ripple_factor: float = 1.0
     sways: SwayBank | None = None
     sway_omega: float = 0.0
+    hangs: bool = False
     age: float = 0.0
     class_age: float = 0.0
     within_ramp: bool = False

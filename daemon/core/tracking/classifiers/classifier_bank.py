@@ -142,6 +142,12 @@ class BankClassifier(BankModel):
         """Return the state as the line announces a stop."""
         return replace(state, announced_s=0.0)
 
+    def hang(
+        self, before: BankState, state: BankState, shown: PositionMeasurement, dt: float
+    ) -> BankState:
+        """Return the estimate of an object that bolts in their holes show to hang."""
+        return guide.before_touch(self, before, state, shown, dt)
+
     def predict_positions(self, state: BankState, times: Array) -> Array:
         """Return the object's positions (m,) along the conveyor at ``times`` from now [s]."""
         return bank_prediction.predict_positions(self, state, times)

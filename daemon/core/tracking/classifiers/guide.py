@@ -17,7 +17,7 @@ Invariants:
   does. One that is found in contact may be what the clamped tool itself drives: then the one that
   was known before fades, at its own frequency.
 - Where none is known, an object that has not followed its conveyor as a change is declared goes on:
-  it sways from there.
+  it sways from there. Bolts in their holes show it before the touch.
 """
 
 import math
@@ -133,6 +133,31 @@ def advance(
     return replace(state, guide=guide)
 
 
+def before_touch(
+    model: BankModel, before: BankState, state: BankState, shown: PositionMeasurement, dt: float
+) -> BankState:
+    """Return the state of an object that hangs, as bolts in their holes show it before the touch.
+
+    A tool that has not reacted to a change yet is bent by an object on a rigid carrier, which has.
+
+    Args:
+        before: of the step before.
+        state: one step later, its class decided.
+        shown: where the tool holds the object.
+    """
+    # What a change that turns out to be faster adds is none of the object either.
+    goes_on = state.hangs and state.is_faster
+    if state.contact or not (goes_on or _may_hang(model, state, sways=True)):
+        return state
+    was = bank_filter.predict(model, before, dt)
+    if not goes_on:
+        was = _steady(was)
+        if not _gone_on(model, was, state, [shown]):
+            return state
+    # Whatever it hangs on, no force has braked it yet.
+    return replace(_hanging(model, was, state, [shown], 1.0), hangs=True)
+
+
 def led_state(state: BankState) -> BankState:
     """Return the state with the guide's estimate in place of the null filter's."""
     guide = state.guide
@@ -149,7 +174,8 @@ def synchronised(state: BankState) -> Guide:
     x[_SWING] = 0.0
     if state.sway_omega > FASTEST:
         x[_SWAY] = 0.0
-    return Guide(x, _unled(state, P), state.ripple_factor, sway_omega=state.sway_omega)
+    P, omega = _unled(state, P), state.sway_omega
+    return Guide(x, P, state.ripple_factor, sway_omega=omega, hangs=state.hangs)
 
 
 def _unled(state: BankState, P: Array) -> Array:

@@ -230,4 +230,4 @@ def _with_sway(state: BankState, sways: SwayBank, fit: SwayFit) -> BankState:
     spread = float(covariance[3, 3])
     P[Y, Y], P[OFFSET, OFFSET] = P[Y, Y] + spread, P[OFFSET, OFFSET] + spread
     P[Y, OFFSET] = P[OFFSET, Y] = P[Y, OFFSET] - spread
-    return replace(state, x=x, P=P, sway_omega=fit.omega)
+    return replace(state, x=x, P=P, sway_omega=fit.omega, hangs=False)

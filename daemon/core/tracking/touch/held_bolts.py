@@ -33,13 +33,23 @@ LIGHT_KG = 500.0  # modal mass of an object on a carrier; most are heavier [kg]
 UNKNOWN = 1.0  # variance of what is not measured [m^2, rad^2]
 
 
+def are_in(bolts: float, distance: float) -> bool:
+    """Return whether the bolts are surely in their holes.
+
+    Args:
+        bolts: their length from the face [m].
+        distance: programmed, from the tcp to the object along its z [m].
+    """
+    return bolts > 0.0 and ENTERED - bolts < distance < math.inf
+
+
 def is_entered(payload: PayloadSettings, distance: float) -> bool:
     """Return whether the bolts are in their holes, and their play is known.
 
     Args:
         distance: programmed, from the tcp to the object along its z [m].
     """
-    return payload.bolt_play > 0.0 and ENTERED - payload.bolts < distance < math.inf
+    return payload.bolt_play > 0.0 and are_in(payload.bolts, distance)
 
 
 def place(
