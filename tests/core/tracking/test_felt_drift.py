@@ -87,3 +87,10 @@ def test_a_quick_swing_that_becomes_a_deflection_to_one_side_is_no_more_quick() 
     swing = [0.003 * math.sin(math.tau * 2.7 * k * DT) for k in range(84)]
     assert after(swing).is_quick
     assert not after([*swing, *[-0.004] * 30]).is_quick
+
+
+def test_the_mean_of_a_ring_is_a_quarter_of_it_and_that_of_a_lasting_deflection_all_of_it() -> None:
+    ring = [0.002 * math.sin(math.tau * 6.0 * k * DT) for k in range(100)]
+    means = [after(ring[:count]).mean for count in range(60, 100)]
+    assert max(map(abs, means)) < 0.3 * 0.002
+    assert after([0.002] * 40).mean == pytest.approx(0.002)

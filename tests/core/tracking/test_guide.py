@@ -389,16 +389,18 @@ def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float
 
 
 def stopped_by(
-    followed: float, bank: BankClassifier = BANK, *, ends: bool = False
+    followed: float, bank: BankClassifier = BANK, *, ends: bool = False, swings: FeltDrift = UNFELT
 ) -> tuple[BankState, float]:
     """The guide as a stop is declared 0.3 s late, and where the tool feels the object [m].
 
     Args:
         followed: share of what the conveyor has lost that the object has lost as well.
         ends: the conveyor stands by then.
+        swings: the tool's deflection so far.
     """
     before, _ = in_contact(3.0, 0.0)
     assert before.guide is not None
+    before = structs.replace(before, guide=structs.replace(before.guide, felt=swings))
     lost, slower = 0.0045, SPEED if ends else 0.03
     x = before.x.copy()
     felt = float(before.guide.x[Y]) + SPEED * DT - followed * lost
@@ -427,6 +429,15 @@ def test_an_object_that_has_not_followed_its_conveyor_goes_on(ends: bool) -> Non
     assert float(x[Y] + x[SWAY]) == pytest.approx(felt, abs=2e-4)
     assert float(x[Y] + x[OFFSET]) == pytest.approx(float(state.x[Y] + state.x[OFFSET]), abs=1e-6)
     assert led_way(state, felt, 0.1) == pytest.approx(SPEED * 0.1, abs=1e-3)
+
+
+@pytest.mark.parametrize(("half_s", "hangs"), [(0.06, True), (math.inf, False)])
+def test_a_tool_that_rings_hides_no_object_that_hangs(half_s: float, hangs: bool) -> None:
+    """Its mean shows it: at the wrong moment of a ring a body met the tool's rim, 9 mm off."""
+    swings = FeltDrift(off=-0.002, side=-1, kept_s=0.05, half_s=half_s)
+    state, _ = stopped_by(0.5, swings=swings)
+    assert state.guide is not None
+    assert state.guide.hangs is hangs
 
 
 def test_an_object_that_has_followed_its_conveyor_is_led_with_it() -> None:

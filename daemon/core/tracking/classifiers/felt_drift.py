@@ -19,6 +19,7 @@ AHEAD_S = 0.12  # in which a decision shows in the force: dead time, merge and s
 FARTHEST_AHEAD = 0.002  # of a deflection then: 100 N on a mount of 50 N/mm [m]
 BAND = 0.001  # beyond it, after which the deflection is taken up whole [m]
 SMOOTHING_S = 0.024  # time constant of the drift [s]
+MEAN_S = 0.1  # time constant of the mean of one that swings quickly: 6 Hz leave a quarter [s]
 GROWN_S = 0.09  # for which it has drifted away: a quarter of a period of 2.8 Hz [s]
 SWING_M = 0.0003  # to each side; less is noise [m]
 QUICK_HALF_S = 0.25  # half a period that is no longer than twice the delay of what follows it [s]
@@ -30,6 +31,7 @@ class FeltDrift(Struct, frozen=True):
 
     Attributes:
         off: the last one [m]; None before the first one.
+        mean: of it, smoothed [m].
         speed: of it, smoothed [m/s].
         grows_s: for which it has grown to one side [s].
         side: of the last one beyond ``SWING_M``: 1 or -1, 0 before the first one.
@@ -38,6 +40,7 @@ class FeltDrift(Struct, frozen=True):
     """
 
     off: float | None = None
+    mean: float = 0.0
     speed: float = 0.0
     grows_s: float = 0.0
     side: int = 0
@@ -61,7 +64,7 @@ def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
         dt: since the one before [s].
     """
     if before.off is None:
-        return replace(before, off=off)
+        return replace(before, off=off, mean=off)
     gain = 1.0 - math.exp(-dt / SMOOTHING_S)
     speed = before.speed + gain * ((off - before.off) / dt - before.speed)
     grows = speed * before.speed > 0.0 and speed * off > 0.0
@@ -69,7 +72,8 @@ def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
     if abs(off) > SWING_M and side * off <= 0.0:
         kept_s, half_s = (0.0, kept_s) if side else (kept_s, half_s)
         side = 1 if off > 0.0 else -1
-    return FeltDrift(off, speed, before.grows_s + dt if grows else 0.0, side, kept_s, half_s)
+    mean = before.mean + (1.0 - math.exp(-dt / MEAN_S)) * (off - before.mean)
+    return FeltDrift(off, mean, speed, before.grows_s + dt if grows else 0.0, side, kept_s, half_s)
 
 
 def share_taken(felt: FeltDrift) -> float:
@@ -85,7 +89,7 @@ def taken(felt: FeltDrift, share: float) -> FeltDrift:
     if felt.off is None or not share:
         return felt
     left = 1.0 - share
-    return replace(felt, off=left * felt.off, speed=left * felt.speed)
+    return replace(felt, off=left * felt.off, mean=left * felt.mean, speed=left * felt.speed)
 
 
 def moved(felt: FeltDrift) -> FeltDrift:

@@ -125,8 +125,11 @@ def advance(
     elif has_changed:
         led = _in_class(model, state, led, measurements, sways=sways)
     if is_reset or has_changed:
+        swung = felt.mean if felt.is_quick else None
         felt = felt_drift.moved(guide.felt if is_reset else felt)
-        led, hangs = _going_on(model, state, was, led, measurements, hangs=hangs, sways=sways)
+        led, hangs = _going_on(
+            model, state, was, led, measurements, hangs=hangs, sways=sways, swung=swung
+        )
     led = led if sways or hangs else _fading(led, was.x[_SWAY], dt)
     x, P, omega = led.x, led.P, led.sway_omega
     guide = Guide(x, P, led.ripple_factor, sways, waits, missed, felt, omega, hangs)
@@ -327,6 +330,7 @@ def _going_on(
     *,
     hangs: bool,
     sways: bool,
+    swung: float | None,
 ) -> tuple[BankState, bool]:
     """Return the guide after a change of its conveyor, and whether its object hangs from that.
 
@@ -335,10 +339,11 @@ def _going_on(
         led: the guide with the change, for an object on a rigid carrier.
         hangs: the object hung before.
         sways: a sway leads the target.
+        swung: mean of a deflection that swings quickly [m].
     """
     gain = float(was.x[GAIN]) if hangs else 0.0
     if not hangs and _may_hang(model, state, sways=sways):
-        gain, was = _gone_on(model, was, led, measurements), _steady(was)
+        gain, was = _gone_on(model, was, led, measurements, swung), _steady(was)
     return (_hanging(model, was, led, measurements, gain), True) if gain else (led, False)
 
 
@@ -349,7 +354,11 @@ def _may_hang(model: BankModel, state: BankState, *, sways: bool) -> bool:
 
 
 def _gone_on(
-    model: BankModel, was: BankState, led: BankState, measurements: Sequence[PositionMeasurement]
+    model: BankModel,
+    was: BankState,
+    led: BankState,
+    measurements: Sequence[PositionMeasurement],
+    swung: float | None = None,
 ) -> float:
     """Return the share of a change of the conveyor that the object has not followed, or 0.
 
@@ -359,12 +368,14 @@ def _gone_on(
     Args:
         was: the guide without the change.
         led: the guide with the change, for an object on a rigid carrier.
+        swung: mean of a deflection that swings quickly: now it shows the swing [m].
     """
     felt = [each for each in measurements if each.source is Source.TACTILE]
     lost = float(was.x[Y] + was.x[OFFSET] - led.x[Y] - led.x[OFFSET])
     if not felt or abs(lost) < LEAST_LOST:
         return 0.0
-    share = min(1.0 + _deflection(model, was, felt[-1]) / lost, model.sway.gain_deviation)
+    off = _deflection(model, was, felt[-1]) if swung is None else swung
+    share = min(1.0 + off / lost, model.sway.gain_deviation)
     return share if share > HANGING else 0.0
 
 
