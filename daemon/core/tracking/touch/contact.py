@@ -377,6 +377,18 @@ def is_doubtful(state: ContactState, vibration: ToolVibration, distance: float, 
     return low > 0.0 or advance < STOOD_M
 
 
+def backs_off(state: ContactState, vibration: ToolVibration, distance: float) -> bool:
+    """Return whether the tool backs off, so that no face of an object pushes it any more.
+
+    Args:
+        distance: programmed, to the object [m].
+    """
+    steps = round(STOOD_S / vibration.cycle_s) if vibration.cycle_s else 0
+    if not 0 < steps <= len(state.distances):
+        return False
+    return distance < state.distances[-steps] - STOOD_M
+
+
 def count_touches(
     state: ContactState,
     vibration: ToolVibration,

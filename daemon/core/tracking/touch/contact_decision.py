@@ -94,7 +94,9 @@ def update_contact(
     if has_contact and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
         bolts = tracker.settings.payload.bolts
-        rubs = contact.may_rub(reach, bolts)
+        backs = contact.backs_off(contact_state, tracker.vibration, before.distance)
+        backs = backs and bolts > 0.0 and not after.clamped
+        rubs = backs or contact.may_rub(reach, bolts)
         has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
         if has_contact:
             # A clamp that closes on a tool which was led back from the object pulls at it.
