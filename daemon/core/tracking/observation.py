@@ -181,7 +181,10 @@ def measure_camera(
         sensitivity[:3, 1:] = math.hypot(*sample.position) * R_camera
     delay = (now_ns - sample.exposure_ns) * 1e-9
     sigmas = noise.lasting * np.sqrt(diagonal)
-    lasting = R_camera * sigmas[:3], float(sigmas[3:].max())
+    turned, lasting = float(sigmas[3:].max()), None
+    # A pose that is no number is left to its gate.
+    if math.isfinite(turned) and math.isfinite(float(sigmas[:3].max())):
+        lasting = R_camera * sigmas[:3], turned
     return PoseMeasurement(position, rotation, delay, variance, sensitivity, lasting)
 
 
