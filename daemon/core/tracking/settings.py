@@ -86,7 +86,7 @@ class CameraNoise:
     depth_factor: Annotated[float, Ge(0.1), Le(20.0)] = 2.0
     angle: Angle = 0.0006
     angle_slope: Slope = 0.004
-    lasting: Annotated[float, Ge(0.0), Le(2.0)] = 0.5
+    lasting: Annotated[float, Ge(0.0), Le(2.0)] = 0.0
     lasting_s: Constant = 0.5
     gate: Sigmas = 5.0
     longest_delay: Annotated[float, Gt(0.0), Le(1.0)] = 0.3
