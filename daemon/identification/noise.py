@@ -233,13 +233,20 @@ def correlated_share(blocks: Sequence[tuple[Array, Array]]) -> tuple[Outcome, Ou
     classes = round(LONGEST_LAG_S / LAG_S)
     lags, sums, counts = np.zeros(classes), np.zeros(classes), np.zeros(classes)
     images, whole_s = 0, 0.0
-    for times, errors in blocks:
-        late = np.abs(times[:, None] - times[None])
-        later = np.triu(late < LONGEST_LAG_S, 1)
-        where, products = (late[later] / LAG_S).astype(int), errors.dot(errors.T)[later]
-        lags += np.bincount(where, late[later], classes)[:classes]
-        sums += np.bincount(where, products / errors.shape[1], classes)[:classes]
-        counts += np.bincount(where, minlength=classes)[:classes]
+    for exposures, seen in blocks:
+        order = np.argsort(exposures)
+        times, errors = exposures[order], seen[order]
+        # Diagonal by diagonal: all pairs of an hour's images would not fit into memory.
+        for step in range(1, len(times)):
+            late = times[step:] - times[:-step]
+            near = late < LONGEST_LAG_S
+            if not near.any():
+                break
+            where = (late[near] / LAG_S).astype(int)
+            products = (errors[step:] * errors[:-step])[near].mean(axis=1)
+            lags += np.bincount(where, late[near], classes)[:classes]
+            sums += np.bincount(where, products, classes)[:classes]
+            counts += np.bincount(where, minlength=classes)[:classes]
         images, whole_s = images + len(times), whole_s + float(np.ptp(times))
     known = counts > 0.0
     if images < LEAST or known.sum() < 3:

@@ -1,7 +1,7 @@
 """Parameters as operators see them: everything comes from the settings themselves."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 
@@ -19,6 +19,8 @@ from linemate.daemon.config.parameter_list import (
 )
 from linemate.daemon.config.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.config.watch_settings import WatchSettings
+from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings
+from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.protocol.command.frame_codec import MAX_RESULT_BYTES
 from linemate.protocol.command.payloads import encode_result
 from linemate.simulators.harness.setup import shipped_control
@@ -121,3 +123,14 @@ def test_a_section_that_is_off_by_default_differs_by_nothing_when_it_is_there() 
         if name.startswith(("camera.", "recording.")) and one["value"] != one["default"]
     }
     assert different == {"camera.port", "recording.directory"}
+
+
+def test_what_changes_the_number_of_the_filters_states_waits_for_idle() -> None:
+    def size(camera: CameraNoise) -> int:
+        return Transverse(FusionSettings(), (), camera).size
+
+    for field in fields(CameraNoise):
+        if isinstance(getattr(CameraNoise(), field.name), float):
+            sizes = {size(replace(CameraNoise(), **{field.name: v})) for v in (0.0, 0.5)}
+            rule = change_rule(f"tracking.camera.{field.name}")
+            assert len(sizes) == 1 or rule.change is ChangeTime.IDLE, field.name

@@ -685,14 +685,12 @@ def _correct_held(
     is_free = state.started and not state.contact and state.releasing is None
     if not is_free or not held_bolts.is_entered(payload, state.distance):
         return transverse
-    bending = tare.bending(state.tare, wrench, mount)
-    if transverse is None or history is None or wrench is None or bending is None:
+    bent = _bent(tracker, state, history, wrench)
+    if transverse is None or wrench is None or bent is None:
         return transverse
-    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
-    if tcp is None:
-        return transverse
+    tcp, bending = bent
     where = payload, mount, state.distance, leaning
-    place = held_bolts.place(wrench.force, bending.force, tcp, *where)
+    place = held_bolts.place(wrench.force, bending, tcp, *where)
     if place is None:
         return transverse
     if state.held == UNHELD:
@@ -704,6 +702,17 @@ def _correct_held(
     if is_accepted:
         rows.append(_along_measurement(tracker, transverse, Source.CAMERA, held, HELD_GATE))
     return transverse
+
+
+def _bent(
+    tracker: Tracker, state: TrackerState, history: History | None, wrench: Wrench | None
+) -> tuple[Array, Array] | None:
+    """Return the tcp (6,) at a wrench, and the force (3,) that bends its mount [N]; or None."""
+    bending = tare.bending(state.tare, wrench, tracker.settings.tactile)
+    if history is None or wrench is None or bending is None:
+        return None
+    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
+    return None if tcp is None else (tcp, bending.force)
 
 
 def _engaged(
@@ -718,13 +727,11 @@ def _engaged(
     mount, is_free = tracker.settings.tactile, state.started and not state.contact
     if not is_free or not held_bolts.are_in(tracker.settings.payload.bolts, state.distance):
         return None
-    bending = tare.bending(state.tare, wrench, mount)
-    if history is None or wrench is None or bending is None:
+    bent = _bent(tracker, state, history, wrench)
+    if wrench is None or bent is None:
         return None
-    tcp = pose_at(history, wrench.stamp_ns, 2.5 * tracker.cycle_s)
-    if tcp is None:
-        return None
-    place = tcp[:3] + rotations.exp(tcp[3:]).dot(bending.force / np.array(mount.stiffness))
+    tcp, bending = bent
+    place = tcp[:3] + rotations.exp(tcp[3:]).dot(bending / np.array(mount.stiffness))
     delay = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
     held = held_bolts.measured(place, tcp, delay, tracker.cycle_s)
     return _along_measurement(tracker, transverse, Source.TACTILE, held, HELD_GATE)

@@ -5,7 +5,6 @@ u seconds ago, whose acceleration is known to some share, and, in contact, an im
 of the body. A change counts by its odds against no change *and* against an impulse.
 """
 
-import dataclasses as dc
 import math
 from collections.abc import Sequence
 
@@ -346,7 +345,8 @@ class BankClassifier(BankModel):
             return None
         # The tool is ahead of the object: if it takes a usual stop for a faster one, it waits. Once
         # it has followed, readings in steps of 1 cm took a usual one for a faster one: 223 N.
-        wider = onset_bank.posterior(bank, dc.replace(prior, odds=MISSED_ODDS))
+        sooner = AmplitudePrior(prior.mean, prior.variance, prior.least, MISSED_ODDS)
+        wider = onset_bank.posterior(bank, sooner)
         if wider.odds < EXPLAINED:
             return None
         nominal, weights, shares = self.changes[state.motion], wider.weights, wider.amplitudes
