@@ -138,9 +138,9 @@ def test_the_hub_holds_the_wheel_once_the_programme_has_passed_the_screws() -> N
     assert not release.is_held_by_hub(GATED[:1], fixed, 14.1)
 
 
-@pytest.mark.parametrize("lasting", [release.UNLOADING_S, release.RETREAT_S])
-def test_the_press_goes_once_the_opening_is_ordered_behind_what_is_commanded(
-    lasting: float,
+@pytest.mark.parametrize(("lasting", "gone"), [(release.UNLOADING_S, 0.3), (0.1, 0.2)])
+def test_the_press_goes_behind_what_is_commanded_and_is_gone_as_the_clamp_is_open(
+    lasting: float, gone: float
 ) -> None:
     relative = np.zeros((40, 6))
     relative[:, 2] = 0.001
@@ -148,7 +148,8 @@ def test_the_press_goes_once_the_opening_is_ordered_behind_what_is_commanded(
     depth = release.unloading(relative, span, 0.1, lasting)[:, 2]
     assert (depth[span <= 0.1] == 0.001).all()
     assert (np.diff(depth) <= 0.0).all()
-    assert (np.abs(depth[span >= 0.1 + lasting]) < 1e-12).all()
+    assert (np.abs(depth[span >= gone]) < 1e-12).all()
+    assert (depth[span < gone - 0.02] > 0.0).all()
     assert (relative[:, 2] == 0.001).all()
 
 
