@@ -27,7 +27,9 @@ STATIC = 5  # states without the swings
 _MEASURED = np.array((0, 2, 3, 4, 5))  # components of a pose without y
 FREQUENCY_FACTORS = (0.9, 1.1)  # range of the estimated frequency over the identified one
 SWING_DEVIATION = 0.008  # initial sigma of a swing [rad]
-CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along the conveyor
+CAMERA = 6  # states of the camera's errors, and what tells them from those of the distance sensor
+ERRORS = 4  # of these, the camera's: stamp and three biases
+ALONG, SLIP = 4, 5  # offset along the conveyor, and the share that its wheel reads too much
 LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
@@ -147,7 +149,7 @@ class Transverse:
 
     @cached_property
     def _camera(self) -> int:
-        """Index of the stamp's error; behind it three biases and the offset along the conveyor."""
+        """Index of the stamp's error, the first of ``CAMERA`` states."""
         return self._slope + 2
 
     @cached_property
@@ -210,7 +212,8 @@ class Transverse:
             k = self._camera
             P[k, k] = self.camera.stamp_offset**2
             P[k + 1, k + 1] = P[k + 2, k + 2] = P[k + 3, k + 3] = self.camera.bias**2
-            P[k + 4, k + 4] = ALONG_DEVIATION**2
+            P[k + ALONG, k + ALONG] = ALONG_DEVIATION**2
+            P[k + SLIP, k + SLIP] = self.fusion.slip**2
         if self._has_lasting:
             np.fill_diagonal(P[self._lasting : self._first_factor, self._lasting :], 1.0)
         return TransverseState(x, P, rotation, frequency_factors=(1.0,) * len(self.swing))
@@ -294,7 +297,8 @@ class Transverse:
             k = self._camera
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
             noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
-            noise[k + 4] = ALONG_WALK**2 * dt
+            noise[k + ALONG] = ALONG_WALK**2 * dt
+            noise[k + SLIP] = self.fusion.slip_walk**2 * dt
         if self.camera is not None and self._has_lasting:
             # Gauss-Markov: its variance stays 1.
             kept, both = (
@@ -374,7 +378,7 @@ class Transverse:
         H = self.observation_rows(state, measured.delay)
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is not None:
-            H[:, self._camera : self._camera + CAMERA - 1] = sensitivity[_MEASURED]
+            H[:, self._camera : self._camera + ERRORS] = sensitivity[_MEASURED]
         if self._has_lasting and measured.lasting is not None:
             k = self._lasting
             places, turned = measured.lasting
@@ -455,7 +459,7 @@ class Transverse:
             # One product for both terms: the gain's rows, and what the shift adds to the spread.
             left = np.concatenate((rows, shift[None])).T
             P = P - left.dot(np.concatenate((none * gain, (none * (none - 1.0) * shift)[None])))
-        c = slice(self._camera, self._camera + CAMERA - 1)
+        c = slice(self._camera, self._camera + ERRORS)
         return replace(state, shrinkage=x - state.x, errors=P[c, c])
 
     def believed(self, state: TransverseState) -> TransverseState:
@@ -502,7 +506,7 @@ class Transverse:
         if sensitivity is None:
             return state
         k, h = self._camera, np.zeros(self.size)
-        h[k : k + CAMERA - 1], h[k + CAMERA - 1] = sensitivity[1], 1.0
+        h[k : k + ERRORS], h[k + ALONG], h[k + SLIP] = sensitivity[1], 1.0, -unit
         if self._has_lasting and measured.lasting is not None:
             h[self._lasting : self._lasting + 3] = measured.lasting[0][1]
         value = float(measured.position[1]) - unit
@@ -515,7 +519,7 @@ class Transverse:
         if not innovation * innovation <= ALONG_GATE * ALONG_GATE * S:
             # The object may have moved on the unit: its offset counts less from now on.
             P = state.P.copy()
-            P[k + CAMERA - 1, k + CAMERA - 1] += (ALONG_LEAK * innovation) ** 2
+            P[k + ALONG, k + ALONG] += (ALONG_LEAK * innovation) ** 2
             return replace(state, P=P)
         K = Ph / S
         return self.folded(state, state.x + K * innovation, state.P - K[:, None] * Ph)
@@ -529,7 +533,7 @@ class Transverse:
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is None:
             return measured
-        k = slice(self._camera, self._camera + CAMERA - 1)
+        k = slice(self._camera, self._camera + ERRORS)
         error = sensitivity.dot(self.believed(state).x[k])
         P = state.P[k, k] if state.errors is None else state.errors
         spread = np.add.reduce(sensitivity.dot(P) * sensitivity, axis=1)
