@@ -18,6 +18,7 @@ SPEED = 0.106
 RAMPS = ((6.0, -0.104), (14.0, 0.104), (22.0, -0.104))
 SECONDS = 30.0
 PITCH = 0.1  # of the conveyor's chain [m]
+ARM_RATE = 2.0  # of a camera that moves [rad/s]
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,8 @@ class Body:
     ramps: tuple[tuple[float, float], ...] = RAMPS
     chain: float = 0.0  # amplitude of the error of the conveyor's chain [m]
     axis: int = 1  # of c, along which the body sways
+    late: float = 0.0  # of the distance sensor's readings [s]
+    arm: float = 0.0  # amplitude with which the camera moves along the line [m]
     seed: int = 0
 
 
@@ -65,6 +68,8 @@ def recorded(body: Body) -> Trace:
     deviations = np.tile((body.lateral, body.lateral, 2.0 * body.lateral, 1e-3, 1e-3, 1e-3),
                          (len(unit), 1))  # fmt: skip
     tcp = np.zeros((round((SECONDS + 1.0) / CYCLE_S), 6))
+    tcp[:, 1] = body.arm * np.sin(ARM_RATE * CYCLE_S * np.arange(len(tcp)))
+    place[:, 1] -= body.arm * np.sin(ARM_RATE * (exposures + body.stamp_error))
     images = Images(
         exposures,
         exposures + 0.1,
@@ -74,7 +79,7 @@ def recorded(body: Body) -> Trace:
     )
     stamps = np.arange(0.0, SECONDS + 1.0, CYCLE_S)
     readings = np.round(moved(body, stamps)[0] + 0.3e-3 * rng.normal(size=len(stamps)), 3)
-    return trace(tcp=tcp, images=images, distances=np.column_stack((stamps, readings)))
+    return trace(tcp=tcp, images=images, distances=np.column_stack((stamps + body.late, readings)))
 
 
 def viewed(traces: Sequence[Trace]) -> tuple[list[Views], list[int]]:

@@ -193,7 +193,7 @@ def _scene_rows(
     prior = np.zeros((len(scenes.PRIORS), size))
     prior[:, size - len(scenes.PRIORS) :] = np.diag(1.0 / scenes.PRIORS)
     jacobians.append(prior)
-    residuals.append(np.append(scene.hand_eye, scene.stamp_error) / scenes.PRIORS)
+    residuals.append(scene.of_cell / scenes.PRIORS)
     return _Rows(
         np.concatenate(jacobians),
         np.concatenate(residuals),

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene_fit import SceneFit, Views
+from linemate.daemon.identification.scene_fit import SHARED, SceneFit, Views
 from linemate.daemon.identification.trace import Images
 
 POSITION_DEVIATION = 0.0015  # [m]
@@ -50,7 +50,7 @@ def identify_camera(
         refusal = Refusal("too few images of the object in free space")
         three = (refusal, refusal, refusal)
         return CameraResult(three, three, refusal, latency, period)
-    deviations = np.sqrt(np.maximum(scene.covariance[-7:, -7:].diagonal(), 0.0))
+    deviations = np.sqrt(np.maximum(scene.covariance[-SHARED:, -SHARED:].diagonal(), 0.0))
     turned = max(_turned(view) for view in seen)
     basis = f"{sum(len(view.times) for view in seen)} images, tool turned by {turned:.2f} rad"
     position = tuple(

@@ -21,8 +21,9 @@ from linemate.daemon.core.tracking.settings import CameraNoise
 from linemate.daemon.identification.conveyor_motion import conveyor
 from linemate.daemon.identification.trace import Images, Mask, TcpPath, Trace, tcp_path
 
-# Prior deviations of hand-eye position [m], hand-eye rotation [rad] and stamp error [s].
-PRIORS = np.array((0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.05))
+# Prior deviations of hand-eye position [m], hand-eye rotation [rad], stamp error and lateness [s].
+PRIORS = np.array((0.05, 0.05, 0.05, 0.1, 0.1, 0.1, 0.05, 0.02))
+SHARED = len(PRIORS)
 
 GATE = 5.0
 CONTACT_MARGIN = 0.1  # around a contact, without images [s]
@@ -98,8 +99,9 @@ class SceneFit:
         hand_eye: (6,) what must be added to the hand-eye pose: position in the tcp [m] and a turn
             about the camera's axes [rad].
         stamp_error: what must be added to the exposures' stamps [s].
+        late: of the distance sensor, beyond its stated delay [s].
         covariance: of the shared parameters: for each mode frequency, damping, two directions,
-            three levers; then hand-eye and stamp error. Empty before a fit.
+            three levers; then hand-eye, stamp error and lateness. Empty before a fit.
         rest_deviations: (recordings, 6) deviations of position and rotation at rest [m, rad].
         chi2: of an average residual, 1 where the stated deviations are honest.
     """
@@ -108,9 +110,15 @@ class SceneFit:
     rests: tuple[Rest, ...]
     hand_eye: Array
     stamp_error: float
+    late: float
     covariance: Array
     rest_deviations: Array
     chi2: float
+
+    @property
+    def of_cell(self) -> Array:
+        """Hand-eye, stamp error and lateness (8,) [m, rad, s]."""
+        return np.concatenate((self.hand_eye, (self.stamp_error, self.late)))
 
 
 # Configured position (3,) and rotation (3, 3) of the camera in the tcp.
@@ -207,7 +215,7 @@ def residuals(scene: SceneFit, index: int, view: Views, camera: Camera) -> Array
     camera_R = R @ (camera[1] @ rotations.exp(scene.hand_eye[3:]))
     camera_p = p + R @ (camera[0] + scene.hand_eye[:3])
     place = np.tile(rest.position, (len(t), 1))
-    place[:, 1] += view.along + view.speed * scene.stamp_error
+    place[:, 1] += view.along + view.speed * (scene.stamp_error + scene.late)
     turned = np.broadcast_to(rest.rotation, (len(t), 3, 3))
     for mode, amplitude in zip(scene.modes, rest.amplitudes, strict=True):
         phi = swing(mode, amplitude, t - view.middle)
@@ -244,8 +252,10 @@ def fit(
     chi2 = _chi2(scene, seen, camera, kept)
     inverse = np.linalg.pinv(A, hermitian=True)
     correlated = _growth(weighed_images(scene, seen, camera, kept), _size(scene))
-    covariance = inverse * max(chi2 * correlated, 1e-12)
+    scale = max(chi2 * correlated, 1e-12)
+    covariance = inverse * scale
     if shared:
+        covariance = _covariance(inverse, scale)
         covariance += _considered(scene, seen, camera, kept, inverse)
     first = _size(scene) - _shared_size(scene)
     deviations = np.sqrt(np.maximum(covariance.diagonal()[:first], 0.0))
@@ -254,6 +264,16 @@ def fit(
     return replace(
         scene, covariance=shared_part, rest_deviations=rest_deviations, chi2=chi2
     ), tuple(kept)
+
+
+def _covariance(inverse: Array, scale: float) -> Array:
+    """Return the covariance where the images' errors have ``scale`` times the stated variance.
+
+    The priors keep theirs: what they alone tell is no better known in quiet images.
+    """
+    of_priors = inverse[:, -SHARED:] / PRIORS**2 @ inverse[-SHARED:]
+    covariance: Array = inverse * scale + max(1.0 - scale, 0.0) * of_priors
+    return covariance
 
 
 def spread(view: Views) -> Array:
@@ -292,7 +312,7 @@ def _descend(
 
 
 def _cost(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mask]) -> float:
-    prior = np.append(scene.hand_eye, scene.stamp_error) / PRIORS
+    prior = scene.of_cell / PRIORS
     total = float(prior @ prior)
     for _, e in weighed_images(scene, seen, camera, kept):
         total += float(np.sum(e * e))
@@ -300,7 +320,7 @@ def _cost(scene: SceneFit, seen: Sequence[Views], camera: Camera, kept: list[Mas
 
 
 def _shared_size(scene: SceneFit) -> int:
-    return 7 * len(scene.modes) + 7
+    return 7 * len(scene.modes) + SHARED
 
 
 def _size(scene: SceneFit) -> int:
@@ -311,7 +331,7 @@ def _steps(scene: SceneFit) -> Array:
     """Return the steps of the numeric derivatives."""
     own = np.tile((1e-5,) * 6 + (1e-6,) * 2 * len(scene.modes), len(scene.rests))
     mode = (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
-    return np.concatenate((own, np.tile(mode, len(scene.modes)), (1e-5,) * 6, (1e-5,)))
+    return np.concatenate((own, np.tile(mode, len(scene.modes)), (1e-5,) * SHARED))
 
 
 def linearised(
@@ -351,13 +371,13 @@ def _normal(
         columns, jacobian, e = _derivatives(scene, i, view, camera, kept[i])
         A[np.ix_(columns, columns)] += jacobian.T @ jacobian
         g[columns] += jacobian.T @ e
-    prior = np.append(scene.hand_eye, scene.stamp_error)
-    A[np.arange(size - 7, size), np.arange(size - 7, size)] += PRIORS**-2.0
-    g[size - 7 :] += prior / PRIORS**2
+    first = size - SHARED
+    A[np.arange(first, size), np.arange(first, size)] += PRIORS**-2.0
+    g[first:] += scene.of_cell / PRIORS**2
     if not shared:
-        A[size - 7 :, :], A[:, size - 7 :] = 0.0, 0.0
-        A[np.arange(size - 7, size), np.arange(size - 7, size)] = 1.0
-        g[size - 7 :] = 0.0
+        A[first:, :], A[:, first:] = 0.0, 0.0
+        A[np.arange(first, size), np.arange(first, size)] = 1.0
+        g[first:] = 0.0
     return A, g
 
 
@@ -436,8 +456,9 @@ def _moved(scene: SceneFit, step: Array) -> SceneFit:
         scene,
         modes=tuple(modes),
         rests=tuple(rests),
-        hand_eye=scene.hand_eye + step[-7:-1],
-        stamp_error=scene.stamp_error + float(step[-1]),
+        hand_eye=scene.hand_eye + step[-SHARED:-2],
+        stamp_error=scene.stamp_error + float(step[-2]),
+        late=scene.late + float(step[-1]),
     )
 
 

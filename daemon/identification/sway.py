@@ -172,6 +172,7 @@ def _windows(
     body = p[:, ALONG] + np.einsum("nj,nj->n", R[:, ALONG], in_tcp)
     for mode, amplitude in zip(scene.modes, scene.rests[index].amplitudes, strict=True):
         body -= mode.levers[ALONG] * swing(mode, amplitude, t - view.middle)
+    t = t + scene.late
     body -= np.interp(t, moved.times, moved.positions)
     in_camera = np.einsum("nj,jk->nk", R[:, ALONG], turned)
     sigma = np.sqrt(np.sum((in_camera * view.deviations[:, :3]) ** 2, axis=1))

@@ -58,6 +58,7 @@ def find_swings(seen: Sequence[Views], camera: Camera) -> SceneFit | None:
         rests=tuple(scenes.at_rest(view, camera) for view in seen),
         hand_eye=np.zeros(6),
         stamp_error=0.0,
+        late=0.0,
         covariance=np.zeros((0, 0)),
         rest_deviations=np.zeros((0, 6)),
         chi2=1.0,

@@ -11,7 +11,7 @@ from linemate.daemon.identification import scene_fit
 from linemate.daemon.identification.hand_eye import CameraResult, identify_camera
 from linemate.daemon.identification.offset import identify_offset
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
-from linemate.daemon.identification.scene_fit import SceneFit, Views
+from linemate.daemon.identification.scene_fit import SHARED, SceneFit, Views
 from linemate.daemon.identification.swing import SwingResult, find_swings, identify_swings
 from linemate.daemon.identification.trace import Trace
 
@@ -130,7 +130,7 @@ def test_a_bias_of_2_mm_a_metre_moves_nothing_by_more_than_a_deviation() -> None
     (before, _), (after, _) = looked(plain), looked(replace(plain, images=images))
     assert before is not None
     assert after is not None
-    deviations = np.sqrt(after.covariance.diagonal()[-7:-1])
+    deviations = np.sqrt(after.covariance.diagonal()[-SHARED:-2])
     assert np.all(np.abs(after.hand_eye - before.hand_eye) < deviations)
 
 

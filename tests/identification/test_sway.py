@@ -7,6 +7,7 @@ from swaying_body import RAMPS, Body, recorded, viewed
 from traces import CAMERA
 
 from linemate.daemon.identification import sway
+from linemate.daemon.identification.hand_eye import identify_camera
 from linemate.daemon.identification.outcome import Estimate, Outcome, Refusal
 from linemate.daemon.identification.sway import SwayResult, findings, identify_sway
 from linemate.daemon.identification.swing import find_swings
@@ -57,6 +58,16 @@ def test_a_chain_that_drives_the_body_before_the_stop_hardly_changes_the_frequen
     assert isinstance(result.frequency_hz, Estimate)
     assert result.frequency_hz.value == pytest.approx(body.frequency_hz, rel=0.007)
     assert result.frequency_hz.deviation < 0.0067
+
+
+@pytest.mark.parametrize("late", [0.0, 0.02])
+def test_a_late_distance_sensor_is_no_error_of_the_cameras_stamps(late: float) -> None:
+    body = Body(late=late, arm=0.1)
+    trace = recorded(body)
+    seen, _ = viewed([trace])
+    stamp = identify_camera(find_swings(seen, CAMERA), seen, [trace.images]).stamp_error
+    assert isinstance(stamp, Estimate)
+    assert stamp.value == pytest.approx(body.stamp_error, abs=0.001)
 
 
 def test_a_stop_that_shows_no_sway_bounds_its_gain() -> None:
