@@ -17,28 +17,36 @@ LONGEST_LATE_NS = 50_000_000
 # a few frames, a clock that was set back by 15 ms stays so. Used for a window of 10 s it made the
 # contact unstable: an error of 6 mm.
 PROMPT_NS, STEADY_NS = 8_000_000, 40_000_000
+# A frame that comes twice repeats its count once, a clock that stands more often. By that clock
+# frames looked up to LONGEST_LATE_NS late, over and over: a start in contact was felt 0.1 s late.
+MOST_REPEATS = 1
 
 
 class WrenchClock:
     """Dates samples. Samples of devices without a clock keep their arrival.
 
     Attributes:
-        distrusted: how often the device's clock was wrong and its offset dropped.
+        distrusted: how often the device's clock was wrong: it stood, or its offset was dropped.
     """
 
-    __slots__ = ("_last_us", "_offset", "_prompt_ns", "_turns", "distrusted")
+    __slots__ = ("_last_us", "_offset", "_prompt_ns", "_repeats", "_turns", "distrusted")
 
     def __init__(self, window_s: float = 10.0) -> None:
         """Begin without a sample; an offset is kept for ``window_s`` [s]."""
         self._offset = ClockOffset(window_s)
         self._last_us: int | None = None
         self._prompt_ns: int | None = None
+        self._repeats = 0
         self._turns = 0
         self.distrusted = 0
 
     def date(self, sample: WrenchSample) -> WrenchSample:
         """Return the sample with its earliest possible arrival."""
         if sample.device_us is None:
+            return sample
+        self._repeats = self._repeats + 1 if sample.device_us == self._last_us else 0
+        if self._repeats > MOST_REPEATS:
+            self.distrusted += 1
             return sample
         sent_ns = self._unwrapped(sample.device_us) * 1000
         dated_ns = sent_ns + self._offset.learn(sample.stamp_ns - sent_ns, sample.stamp_ns)

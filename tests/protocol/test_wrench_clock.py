@@ -1,6 +1,6 @@
 import pytest
 
-from linemate.protocol.sensors.wrench_clock import LONGEST_LATE_NS, STEADY_NS, WRAP_US, WrenchClock
+from linemate.protocol.sensors.wrench_clock import MOST_REPEATS, STEADY_NS, WRAP_US, WrenchClock
 from linemate.protocol.stamped_samples import WrenchSample
 
 PERIOD_NS = 4_000_000
@@ -45,8 +45,19 @@ def test_a_clock_that_stands_is_not_believed_for_long() -> None:
     for k in range(200):
         stamp = k * PERIOD_NS
         late.append(stamp - clock.date(sample(stamp, 7)).stamp_ns)
-    assert max(late) <= LONGEST_LATE_NS
+    assert max(late) <= PERIOD_NS
+    assert set(late[MOST_REPEATS + 1 :]) == {0}
     assert clock.distrusted > 5
+
+
+def test_a_frame_that_comes_twice_is_dated_by_its_count() -> None:
+    clock = WrenchClock()
+    for k in range(10):
+        stamp = k * PERIOD_NS
+        first = clock.date(sample(stamp, stamp // 1000))
+        again = clock.date(sample(stamp + 3_000_000, stamp // 1000))
+        assert first.stamp_ns == again.stamp_ns == stamp
+    assert clock.distrusted == 0
 
 
 @pytest.mark.parametrize("back_us", [10_000, 15_000, 25_000, 45_000])
