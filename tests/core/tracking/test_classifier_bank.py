@@ -159,7 +159,7 @@ def test_the_best_hypothesis_is_the_onset_that_was() -> None:
 
 def test_a_conveyor_that_speeds_up_is_no_stop() -> None:
     begun = onset_bank.begin(np.zeros(STATES), (0.0,))
-    faster = structs.replace(begun, sums=np.array(((1e4,), (-3e4,), (0.5,), (0.0,))))
+    faster = structs.replace(begun, sums=np.array(((1e4,), (-3e4,), (0.5,), (0.0,), (1.0,))))
     assert onset_bank.posterior(faster, PRIOR).odds <= onset_bank.NONE
 
 

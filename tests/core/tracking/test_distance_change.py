@@ -94,7 +94,7 @@ def test_a_stop_faster_than_stated_that_the_bank_has_is_certain_after_a_sixth(se
 def test_what_the_change_has_made_of_another_state_is_taken_back() -> None:
     readings = kept(ramp(START, 0.5), 1)
     ages = np.linspace(0.012, 0.9, 75)
-    others = OnsetBank(2e-3 * ages[None] ** 2, np.stack((ages, ages, ages, ages)))
+    others = OnsetBank(2e-3 * ages[None] ** 2, np.stack((ages, ages, ages, ages, ages)))
     declared = distance_change.find(readings, START, 0.0, 3e-4, SIGMA, STARTS, SURE, others)
     assert declared is not None
     assert declared.values[3] == pytest.approx(-2e-3 * 0.5**2, rel=0.4)

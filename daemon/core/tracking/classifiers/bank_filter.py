@@ -98,7 +98,7 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
     diagonal += model.process_noise(state, dt)
     changes, impulses = state.changes, state.impulses
     if state.age > SETTLING:
-        onsets = model.change_onsets[state.motion]
+        onsets = model.onsets_now(state)
         changes = onset_bank.propagate(changes, onsets, F, dt, model.bank.longest_onset)
         if state.contact:
             onsets, longest = model.impulse_onsets, model.impulse.longest_onset

@@ -51,6 +51,7 @@ RAMP_WALK = 0.05  # random walk of a ramp's acceleration, as a share of the nomi
 END_WALK = 1.0  # the same at the end of a stop, which may coast out or brake smoothly [1/sqrt(s)]
 END_S = 0.25  # time to the end of a stop below which its deceleration is uncertain [s]
 DRIVEN_WALK = 0.0003  # of a sway, by what chain and drive do beyond the ripple [m/sqrt(s)]
+LEAST_USUAL = 0.1  # amplitude of a change within a ramp, over that within one as stated
 HANGING = 0.75  # share of a change of the conveyor that an object has not followed, which hangs
 NO_SWAY = (0.0,) * 6  # what a row has from the ripple's frequency on
 _CONSTANT = (0.0,)  # frequencies of a change of class [rad/s]
@@ -263,6 +264,19 @@ class BankModel:
             error[ACCELERATION] = -change
             onsets[motion] = onset_bank.begin(error, _CONSTANT)
         return onsets
+
+    def onsets_now(self, state: BankState) -> OnsetBank:
+        """Return the hypothesis that a change out of the class in force begins now.
+
+        A change within a ramp ends that: it adds as much more as the ramp is steeper than stated.
+        """
+        onsets, motion = self.change_onsets[state.motion], state.motion
+        if motion not in RAMPS:
+            return onsets
+        off = self.class_acceleration(motion) - float(state.x[ACCELERATION])
+        sums = onsets.sums.copy()
+        sums[4] = max(1.0 + off / self.changes[motion], LEAST_USUAL)
+        return OnsetBank(onsets.error, sums)
 
     @cached_property
     def impulse_onsets(self) -> OnsetBank:

@@ -41,8 +41,8 @@ class OnsetBank(Struct, frozen=True, eq=False):
 
     Attributes:
         error: f (n, m), error of the null filter for amplitude 1, as far as F propagates it.
-        sums: (4, m): A and B, the evidence; the time since each onset [s]; the frequency of the
-            impulse response [rad/s], 0 for a change of class.
+        sums: (5, m): A and B, the evidence; the time since each onset [s]; the frequency of the
+            impulse response [rad/s], 0 for a change of class; the usual amplitude.
         shares: (m,) number of onsets, each of ``COUNTED_S``, that each stands for; None while it
             is 1 for all.
     """
@@ -76,6 +76,12 @@ class OnsetBank(Struct, frozen=True, eq=False):
     def omega(self) -> Array:
         """(m,) frequency [rad/s]."""
         row: Array = self.sums[3]
+        return row
+
+    @property
+    def usual(self) -> Array:
+        """(m,) amplitude that each has if a prior's mean is 1."""
+        row: Array = self.sums[4]
         return row
 
 
@@ -115,7 +121,7 @@ NO_POSTERIOR = OnsetPosterior(-30.0, np.zeros(0), np.zeros(0))
 
 def empty(states: int) -> OnsetBank:
     """Return a bank without hypotheses for a filter of some states."""
-    return OnsetBank(np.zeros((states, 0)), np.zeros((4, 0)))
+    return OnsetBank(np.zeros((states, 0)), np.zeros((5, 0)))
 
 
 def begin(error: Array, omegas: tuple[float, ...], age: float = 0.0) -> OnsetBank:
@@ -126,8 +132,8 @@ def begin(error: Array, omegas: tuple[float, ...], age: float = 0.0) -> OnsetBan
         omegas: frequency of each [rad/s]; 0 for a change of class.
         age: time since their onset [s].
     """
-    sums = np.zeros((4, len(omegas)))
-    sums[2], sums[3] = age, omegas
+    sums = np.ones((5, len(omegas)))
+    sums[:2], sums[2], sums[3] = 0.0, age, omegas
     return OnsetBank(np.repeat(error[:, None], len(omegas), axis=1), sums)
 
 
@@ -191,17 +197,18 @@ def likelihood_ratios(bank: OnsetBank, prior: AmplitudePrior) -> tuple[Array, Ar
     The posterior precision of the amplitude is ``A + 1 / variance``.
     """
     precision = bank.A + 1.0 / prior.variance
-    weighted = bank.B + prior.mean / prior.variance
+    usual = prior.mean * bank.usual
+    weighted = bank.B + usual / prior.variance
     mean: Array = weighted / precision
     ratio: Array = weighted * mean - np.log(precision)
-    ratio -= prior.mean**2 / prior.variance + math.log(prior.variance)
+    ratio -= usual * usual / prior.variance + math.log(prior.variance)
     ratio *= 0.5
     # A conveyor that speeds up does not stop, however badly the null filter fits it.
     ratio[mean * prior.mean < 0.0] = NONE
     if prior.odds:
         ratio += prior.odds
     if prior.least > -math.inf:
-        ratio[mean < prior.least] = NONE
+        ratio[mean - usual < prior.least - prior.mean] = NONE
     return ratio, mean
 
 

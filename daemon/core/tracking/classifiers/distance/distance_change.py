@@ -197,10 +197,10 @@ def _fit(
     inverse = np.linalg.inv(steady @ steady.T + prior)
     products, with_steady = changed @ np.vstack((steady, way)).T, steady @ way
     absorbed = products[:, :2] @ inverse
-    sums = np.zeros((4, len(onsets)))
+    sums = np.zeros((5, len(onsets)))
     A = np.einsum("ij,ij->i", changed, changed) - np.einsum("ij,ij->i", absorbed, products[:, :2])
     B = products[:, 2] - absorbed @ with_steady
-    sums[0], sums[1], sums[2] = A / deviation**2, B / deviation**2, onsets
+    sums[0], sums[1], sums[2], sums[4] = A / deviation**2, B / deviation**2, onsets, 1.0
     bank = OnsetBank(absorbed.T, sums, np.gradient(onsets) / COUNTED_S)
     return _ChangeFit(way, changed, absorbed, inverse @ with_steady, inverse, bank)
 
