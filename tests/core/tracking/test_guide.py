@@ -549,8 +549,14 @@ def test_a_body_that_sways_on_cancels_no_stop_that_the_guide_follows() -> None:
     assert free.motion is not Motion.STOPPING
 
 
-def weighed(change_odds: float, distance_odds: float) -> float:
-    """The weight of a stop in contact, with a force that an impulse explains as well."""
+def weighed(
+    change_odds: float,
+    distance_odds: float,
+    motion: Motion = Motion.RUNNING,
+    *,
+    is_keen: bool = True,
+) -> float:
+    """The weight of a change in contact, with a force that an impulse explains as well."""
     state, _ = in_contact(3.0, 0.0)
     change = structs.replace(state.change, odds=30.0)
     impulse = structs.replace(state.impulse, odds=30.0 - change_odds)
@@ -560,7 +566,8 @@ def weighed(change_odds: float, distance_odds: float) -> float:
         impulse=impulse,
         change_odds=change_odds,
         distance_odds=distance_odds,
-        is_keen=True,
+        motion=motion,
+        is_keen=is_keen,
         is_firm=False,
     )
     return bank_prediction.hypothesis_weights(BANK, state)[0]
@@ -576,6 +583,17 @@ def test_a_distance_sensor_that_is_undecided_denies_no_stop() -> None:
     """A stop in contact was followed 0.1 s late, with 145 instead of 78 N."""
     assert weighed(2.0, -1.0) > 0.8
     assert weighed(2.0, -3.0) < 0.01
+
+
+@pytest.mark.parametrize("motion", [Motion.STOPPING, Motion.STARTING])
+def test_a_change_within_a_ramp_is_followed_in_contact_as_the_distance_sensor_decides(
+    motion: Motion,
+) -> None:
+    """Without: 0.1 s later, with 202 instead of 91 N. A body that swings on a ramp looks so."""
+    assert weighed(4.0, 1.0, motion) > 0.9
+    assert 0.3 < weighed(4.0, 0.0, motion) < 0.6
+    assert weighed(4.0, -1.0, motion) < 0.01
+    assert weighed(4.0, 1.0, motion, is_keen=False) == 0.0
 
 
 def test_a_guide_that_the_distance_sensor_contradicts_for_long_begins_again() -> None:

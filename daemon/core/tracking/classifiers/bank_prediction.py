@@ -180,9 +180,9 @@ def _after_impulse(model: BankModel, state: BankState) -> Array:
 def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float]:
     """Return the weights of a change of class and of an impulse in the prediction.
 
-    Only a running or standing conveyor is mixed: on a ramp a mixture does harm. A penalty keeps
-    quiet tracking quiet. Neither counts while the distance sensor is rejected: no class explains
-    its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
+    On a ramp a mixture does harm without the force. A penalty keeps quiet tracking quiet. Neither
+    counts while the distance sensor is rejected: no class explains its readings, so the ones before
+    are no evidence of a stop. The sensor may be frozen.
     """
     # The null filter does not know where an object is that hangs: it was 30 mm off.
     hangs = state.guide is not None and state.guide.hangs and not state.is_firm
@@ -193,18 +193,20 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     if state.rejected.get(Source.DISTANCE, 0) >= CONTRADICTED:
         return 0.0, 0.0
     caution, penalty = 1.0, model.bank.penalty
-    if state.motion is Motion.RUNNING:
-        if state.is_keen:
-            caution, penalty = model.bank.contact_caution, model.bank.contact_penalty
-    elif state.motion is Motion.STANDING:
+    is_ramp = state.motion in RAMPS
+    if state.motion is Motion.STANDING:
         penalty = 0.0
-    else:
+    elif state.is_keen:
+        caution, penalty = model.bank.contact_caution, model.bank.contact_penalty
+    elif is_ramp:
         return 0.0, 0.0
     odds = state.change.odds
     if state.distance_odds is not None and not state.is_firm:
         # What the distance sensor denies is a body that swings. Undecided, as it is in the first
         # 0.1 s of each stop, it denies nothing: a target that waited for it was 0.1 s late.
-        odds = min(odds, UNDECIDED + DENIAL * state.distance_odds)
+        # A body that a ramp has made swing looks like the next change: there it decides.
+        undecided = penalty if is_ramp else UNDECIDED
+        odds = min(odds, undecided + DENIAL * state.distance_odds)
     change = caution * (odds - penalty)
     impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
     if state.is_keen and not state.is_firm:
