@@ -673,9 +673,15 @@ def _ease(
     part: Array,
 ) -> TrackerState:
     """Return the state with the shift of the target, which it adds to the target (m, 6)."""
-    speed, eases = 0.0 if view is None else view.speed, not state.contact
-    shift = target_shift.advanced(state.shift, now_ns, float(part[1]), speed, eases=eases)
-    if shift.begun:
+    speed = 0.0 if view is None else view.speed
+    eases = not state.contact or state.withdrawn is not None
+    slope = math.nan
+    if state.releasing is not None:
+        slope = float(target[1, merge.ALONG] - target[0, merge.ALONG]) / tracker.cycle_s
+    shift = target_shift.advanced(
+        state.shift, now_ns, float(part[1]), speed, eases=eases, slope=slope
+    )
+    if shift.begun or shift.rate:
         target[:, merge.ALONG] += target_shift.remaining(shift, tracker.span)
     return replace(state, shift=shift)
 

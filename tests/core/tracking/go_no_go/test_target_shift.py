@@ -61,3 +61,16 @@ def test_after_a_pause_nothing_is_compared() -> None:
     assert not remaining(shift, NOW)[0]
     assert shift.position == 5.0
     assert target_shift.advanced(NO_SHIFT, 0, 5.0, SPEED, eases=True).begun == 0.0
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.2])
+def test_a_jump_of_the_speed_is_eased_for_a_tool_that_has_let_go(speed: float) -> None:
+    shift, whole, way = NO_SHIFT, NO_SHIFT, []
+    for k in range(180):
+        now, place = SPEED if k < 10 else speed, T0 * (SPEED * min(k, 10) + speed * max(k - 10, 0))
+        shift = advanced(shift, k * T0_NS, place, now, eases=True, slope=now)
+        whole = advanced(whole, k * T0_NS, place, now, eases=True)
+        way.append(place + remaining(shift, NOW)[0])
+    assert np.abs(np.diff(way, 2)).max() / T0**2 < 1.05 * ACCELERATION
+    assert way[-1] == pytest.approx(place)
+    assert not whole.rate
