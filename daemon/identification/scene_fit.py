@@ -269,7 +269,7 @@ def fit(
 def _covariance(inverse: Array, scale: float) -> Array:
     """Return the covariance where the images' errors have ``scale`` times the stated variance.
 
-    The priors keep theirs: what they alone tell is no better known in quiet images.
+    The priors keep theirs: what they alone have is no better known in quiet images.
     """
     of_priors = inverse[:, -SHARED:] / PRIORS**2 @ inverse[-SHARED:]
     covariance: Array = inverse * scale + max(1.0 - scale, 0.0) * of_priors
