@@ -33,6 +33,7 @@ class Part(Struct, frozen=True, eq=False):
         rotation: (3, 3) at rest.
         swing: (modes, m) angles [rad].
         slopes: of x and z for each metre along the conveyor.
+        lifted: (m,) way in x by the sway along the conveyor from now on [m]; None for none.
     """
 
     x: float
@@ -41,6 +42,7 @@ class Part(Struct, frozen=True, eq=False):
     rotation: Array
     swing: Array
     slopes: tuple[float, float] = (0.0, 0.0)
+    lifted: Array | None = None
 
 
 def lead(before: float, off: float, speed: float, dt: float, *, is_whole: bool = False) -> float:
@@ -87,6 +89,7 @@ def ahead(
         part,
         along=part.along + lead * np.gradient(part.along, dt),
         swing=part.swing + lead * np.gradient(part.swing, dt, axis=1),
+        lifted=None if part.lifted is None else part.lifted + lead * np.gradient(part.lifted, dt),
     )
     (now, _), (then, _) = (sensed(p, modes, relative, turned=turned) for p in (part, later))
     return np.asarray(then - now)
@@ -127,6 +130,9 @@ def sensed(
         adds[swing + m, 3:] = inverse[:, mode.axis]
     tcp = terms.T.dot(adds)
     now_in_c = terms[at_rest:, 0].dot(adds[at_rest:])
+    if part.lifted is not None:
+        tcp[:, 0] += part.lifted
+        now_in_c[0] += part.lifted[0]
     programmed = relative[:, 3:]
     if turned and np.count_nonzero(programmed):
         own = rotations.exp_many(tcp[:, 3:]) @ rotations.exp_many(programmed)

@@ -73,6 +73,7 @@ class ConveyorEstimate(Struct, frozen=True):
         deviation: one sigma of the position [m].
         speed_deviation: one sigma of the speed [m/s].
         sway: of the object against the conveyor unit, in the position [m].
+        swayed: of the object against the conveyor, as it leads the target [m].
         unknown_sway: one sigma of the sway that a change of class excites beyond its prediction,
             for each m/s^2 of its acceleration [s^2].
         tentative: a change of class is tentative.
@@ -90,6 +91,7 @@ class ConveyorEstimate(Struct, frozen=True):
     confidence: float = 0.0
     events: tuple[tuple[str, str], ...] = ()
     sway: float = 0.0
+    swayed: float = 0.0
     unknown_sway: float = 0.0
 
     @property

@@ -50,7 +50,7 @@ from linemate.daemon.core.tracking.touch import (
 )
 from linemate.daemon.core.tracking.touch.bolt_search import BoltSearch
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
-from linemate.daemon.core.tracking.transverse import TransverseState
+from linemate.daemon.core.tracking.transverse import NO_SWAY, TransverseState
 from linemate.protocol.stamped_samples import DistanceSample, Vector3
 
 UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]
@@ -85,7 +85,12 @@ def estimate(
     if transverse is not None:
         seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
         transverse = tracker.transverse.predict(
-            transverse, tracker.cycle_s, seating=seating, speed=state.speed, unit=state.unit
+            transverse,
+            tracker.cycle_s,
+            seating=seating,
+            speed=state.speed,
+            unit=state.unit,
+            swayed=state.sway.way,
         )
     state = _announced(tracker, state, samples)
     raw = mean_wrench(samples.wrench)
@@ -107,6 +112,9 @@ def estimate(
     engaged = _engaged(tracker, state, seen, history, samples, wrench)
     conveyor, readings = _follow_conveyor(tracker, state, rows, engaged)
     view = None if conveyor is None else tracker.classifier.estimate(conveyor)
+    sway = NO_SWAY
+    if view is not None and state.contact:
+        sway = state.sway.moved(view.swayed, tracker.cycle_s)
     state = replace(
         state,
         monitor=_compared(tracker, state, samples.stamp_ns, first_poses),
@@ -121,6 +129,7 @@ def estimate(
         blind_s=0.0 if samples.distance else state.blind_s + tracker.cycle_s,
         speed=0.0 if view is None else view.speed,
         unit=None if view is None else view.unit,
+        sway=sway,
         held=_held(tracker, state, seen, transverse),
         leaning=leaning,
         units=_with_unit(tracker, state, samples.stamp_ns, view),
@@ -155,6 +164,10 @@ def _see(
         else:
             is_camera = source is Source.CAMERA
             across = measured if is_camera else _yielding(tracker, state, measured, oscillation)
+            # A wheel that is let go shows its weight, and no sway.
+            is_steady = tracker.settings.tactile.holds and state.releasing is None
+            if not is_camera and is_steady:
+                transverse = tracker.transverse.correct_ratio(transverse, across, tracker.cycle_s)
             transverse, is_accepted = _correct(
                 tracker, state, transverse, source, across, gate, stamp_ns
             )

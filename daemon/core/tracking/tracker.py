@@ -56,7 +56,6 @@ from linemate.daemon.core.tracking.tracker_state import (
     TrackerState,
     with_distance_noise,
 )
-from linemate.daemon.core.tracking.transverse import TransverseState
 
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
 HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
@@ -332,7 +331,7 @@ def _lead(
     filtered = tracker.transverse
     estimate = filtered.believed(state.transverse)
     swing = filtered.swing_angles(estimate, tracker.span)
-    part = _part(tracker, estimate, along[: len(goal)], swing)
+    part = _part(tracker, state, along[: len(goal)], tracker.span, swing)
     lead, turned = state.lead, tracker.reference.turned
     modes = filtered.swing
     moved = approach.ahead(part, lead, tracker.cycle_s, modes, relative, turned=turned)
@@ -487,7 +486,7 @@ def observe(
         rows = np.concatenate((relative, np.zeros((len(tracker.leads), 6))))
         target, part = _sensed_poses(
             tracker,
-            state.transverse,
+            state,
             samples.stamp_ns,
             along,
             times,
@@ -617,8 +616,7 @@ def _predict_object(
         along: positions of the conveyor at ``Tracker.ahead`` [m].
         relative: (m, 6) the programmed tcp in the object.
     """
-    transverse, ahead = state.transverse, tracker.span
-    assert transverse is not None  # noqa: S101 - the caller has checked
+    ahead = tracker.span
     count, leads = len(ahead), len(tracker.leads)
     steady = along[:count]
     added = _added_way(tracker, state, view, along, tracker.ahead)
@@ -627,14 +625,12 @@ def _predict_object(
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
     if not _is_prediction_due(tracker, state, view, now_ns):
-        poses, part = _sensed_poses(
-            tracker, transverse, now_ns, steady, ahead, relative, added[:count]
-        )
+        poses, part = _sensed_poses(tracker, state, now_ns, steady, ahead, relative, added[:count])
         return state, poses, part
     later, times = along[-leads:], tracker.ahead[-leads:]
     poses, part = _sensed_poses(
         tracker,
-        transverse,
+        state,
         now_ns,
         np.concatenate((steady, later)),
         np.concatenate((ahead, times)),
@@ -688,7 +684,7 @@ def _ease(
 
 def _sensed_poses(
     tracker: Tracker,
-    estimate: TransverseState,
+    state: TrackerState,
     stamp_ns: int,
     along: Array,
     ahead: Array,
@@ -698,6 +694,7 @@ def _sensed_poses(
     """Return x_f at some times (m, 6), (9) under the class, and the object now (6,).
 
     Args:
+        state: with the object's estimate across the conveyor.
         along: (m,) predicted positions along the conveyor [m].
         ahead: (m,) the times from now [s], of which the first is 0.
         relative: (m, 6) the programmed tcp in the object.
@@ -707,22 +704,32 @@ def _sensed_poses(
         positions, vectors = tracker.foresight(stamp_ns, ahead)
         return approach.known(positions, vectors, relative, turned=tracker.reference.turned)
     filtered = tracker.transverse
-    estimate = filtered.believed(estimate)
+    assert state.transverse is not None  # noqa: S101 - the caller has checked
+    estimate = filtered.believed(state.transverse)
     swing = filtered.swing_angles(estimate, ahead)
     if added.any():  # zeros in contact, a third of a task
         swing += filtered.driven_angles(estimate, ahead, added)
-    part = _part(tracker, estimate, along, swing)
+    part = _part(tracker, state, along, ahead, swing)
     return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
 
 
-def _part(tracker: Tracker, estimate: TransverseState, along: Array, swing: Array) -> approach.Part:
+def _part(
+    tracker: Tracker, state: TrackerState, along: Array, times: Array, swing: Array
+) -> approach.Part:
     """Return the object at some times.
 
     Args:
-        estimate: as it is believed.
+        state: with the object's estimate across the conveyor.
         along: (m,) predicted positions along the conveyor [m].
+        times: (m,) from now, of which the first is 0 [s].
         swing: (modes, m) predicted angles [rad].
     """
+    assert state.transverse is not None  # noqa: S101 - the caller has checked
+    estimate = tracker.transverse.believed(state.transverse)
+    ratio, lifted = tracker.transverse.ratio(estimate), None
+    if state.sway.at is not None and ratio:
+        sway = tracker.classifier.predict_sway(state.conveyor, times)
+        lifted = ratio * (sway - sway[0] + state.sway.way)
     return approach.Part(
         x=float(estimate.x[0]),
         z=float(estimate.x[1]),
@@ -730,6 +737,7 @@ def _part(tracker: Tracker, estimate: TransverseState, along: Array, swing: Arra
         rotation=estimate.rotation,
         swing=swing,
         slopes=tracker.transverse.slopes(estimate),
+        lifted=lifted,
     )
 
 

@@ -38,7 +38,7 @@ from linemate.daemon.core.tracking.touch.compliance import (
 from linemate.daemon.core.tracking.touch.force_sign import TRUSTED, ForceSign
 from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
 from linemate.daemon.core.tracking.touch.withdrawal import Withdrawal
-from linemate.daemon.core.tracking.transverse import Transverse, TransverseState
+from linemate.daemon.core.tracking.transverse import NO_SWAY, BodySway, Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 Foresight = Callable[[int, Array], tuple[Array, Array]]
@@ -188,6 +188,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         carried: way of the programmed tool along the conveyor while the clock stood before [m].
         speed: of the conveyor, as it was last estimated [m/s].
         unit: position of the conveyor unit then [m], None before.
+        sway: of the object along the conveyor, in contact.
         held: by what bolts in their holes have moved the estimate of x and z [m].
         leaning: mean force of bolts in their holes [N].
         go: decision of go or no-go before contact.
@@ -262,6 +263,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     carried: float = 0.0
     speed: float = 0.0
     unit: float | None = None
+    sway: BodySway = NO_SWAY
     held: tuple[float, float] = (0.0, 0.0)
     leaning: Vector3 = (0.0, 0.0, 0.0)
     go: GoState = GO

@@ -3,6 +3,7 @@
 An error-state filter with the rows of (8) for all components but y. Orientation is multiplicative:
 the estimate is a rotation matrix, and the filter's states are a small rotation about the axes of c.
 A conveyor that is askew moves the object in x and z as well: by two slopes times its way along y.
+A body that pitches as it sways along the conveyor lifts its object by a ratio of that way, in x.
 Swing states are in the rotating form of (8): the oscillator is in A, and no phase grows with k. The
 frequency of a swing is estimated with it.
 """
@@ -33,6 +34,11 @@ ALONG, SLIP = 4, 5  # offset along the conveyor, and the share that its wheel re
 LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
+RATIO_DEVIATION = 0.4  # initial sigma of an object's way in x for each metre of sway
+RATIO_WALK = 0.05  # random walk of that ratio [1/sqrt(s)]
+RATIO_NOISE = 0.0005  # of a felt x next to it: what else bends the mount lasts 1 s [m sqrt(s)]
+FASTEST_SWAY = 0.15  # a quicker way of a sway is another estimate of it [m/s]
+SWAY_S = 1.5  # time constant of its mean: what sags or drifts is no sway [s]
 ALONG_DEVIATION = 0.1  # initial sigma of the object's offset from the conveyor unit [m]
 ALONG_WALK = 0.0002  # random walk of that offset [m/sqrt(s)]
 ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
@@ -50,21 +56,47 @@ LARGEST_INFLATION = 25.0  # of a camera's variance
 MEMORY = 40  # measurements over which the NIS is averaged; a correct camera reaches 1.2
 
 
+class BodySway(Struct, frozen=True):
+    """Sway of the object along the conveyor, in contact.
+
+    Attributes:
+        at: where the object is against the conveyor unit [m]; None out of contact.
+        off: the same from its slow mean [m].
+        way: of that in the last step [m].
+    """
+
+    at: float | None = None
+    off: float = 0.0
+    way: float = 0.0
+
+    def moved(self, at: float, dt: float) -> "BodySway":
+        """Return the sway one step later."""
+        way = 0.0 if self.at is None else at - self.at
+        way = way if abs(way) < FASTEST_SWAY * dt else 0.0
+        off = (self.off + way) * (1.0 - dt / SWAY_S)
+        return BodySway(at, off, off - self.off)
+
+
+NO_SWAY = BodySway()
+
+
 class TransverseState(Struct, frozen=True, eq=False):
     """Estimate across the conveyor.
 
     Attributes:
-        x: (7 + 2 m + p + g,): x, z [m], a small rotation [rad]; for each swing its angle and
-            quadrature [rad]; the slopes of x and z for each metre of the conveyor's way; for each
-            swing with a ``spread`` the error of its frequency as a share; for each with a ``gain``
-            that gain. Rotation and frequency errors are folded into the fields below after each
-            correction, then 0.
+        x: (8 + 2 m + p + g,): x, z [m], a small rotation [rad]; for each swing its angle and
+            quadrature [rad]; the slopes of x and z for each metre of the conveyor's way; the ratio
+            of x for each metre of sway along it; for each swing with a ``spread`` the error of its
+            frequency as a share; for each with a ``gain`` that gain. Rotation and frequency errors
+            are folded into the fields below after each correction, then 0.
         rotation: (3, 3) the object at rest in c.
         rejected: measurements rejected in a row.
         frequency_factors: each swing's frequency over the identified one.
         nis: average normalised innovation squared of the camera's poses.
         speed: of the conveyor in the last step [m/s].
         unit: position of the conveyor unit in the last step [m], None before.
+        swaying: speed of the object against the conveyor in the last step [m/s].
+        felt: slow mean of felt poses off x [m]; None before the first one.
         shrinkage: (n,) what ``believed`` adds to x: it takes back errors that may not be there.
         errors: (4, 4) covariance of the camera's errors with that shrinkage.
     """
@@ -77,6 +109,8 @@ class TransverseState(Struct, frozen=True, eq=False):
     nis: float = 1.0
     speed: float = 0.0
     unit: float | None = None
+    swaying: float = 0.0
+    felt: float | None = None
     shrinkage: Array | None = None
     errors: Array | None = None
 
@@ -148,9 +182,14 @@ class Transverse:
         return self._first_factor + sum(mode.spread > 0.0 for mode in self.swing)
 
     @cached_property
+    def _ratio(self) -> int:
+        """Index of the ratio of x to a sway along the conveyor."""
+        return self._slope + 2
+
+    @cached_property
     def _camera(self) -> int:
         """Index of the stamp's error, the first of ``CAMERA`` states."""
-        return self._slope + 2
+        return self._ratio + 1
 
     @cached_property
     def _swings(self) -> tuple[_Swing, ...]:
@@ -208,6 +247,7 @@ class Transverse:
                 x[swing.g], P[swing.g, swing.g] = swing.mode.gain, swing.mode.gain_deviation**2
         k = self._slope
         P[k, k] = P[k + 1, k + 1] = self.fusion.askew**2
+        P[k + 2, k + 2] = RATIO_DEVIATION**2
         if self.camera is not None:
             k = self._camera
             P[k, k] = self.camera.stamp_offset**2
@@ -224,6 +264,10 @@ class Transverse:
         x, z = state.x[k : k + 2].tolist()
         return x, z
 
+    def ratio(self, state: TransverseState) -> float:
+        """Return the way of the object in x for each metre of its sway along the conveyor."""
+        return float(state.x[self._ratio])
+
     def predict(
         self,
         state: TransverseState,
@@ -232,6 +276,7 @@ class Transverse:
         seating: bool = False,
         speed: float = 0.0,
         unit: float | None = None,
+        swayed: float = 0.0,
     ) -> TransverseState:
         """Return (5), (6).
 
@@ -241,10 +286,12 @@ class Transverse:
         Args:
             speed: of the conveyor since the last step [m/s].
             unit: position of the conveyor unit at its begin [m], None if it is not known.
+            swayed: way of the object's sway along the conveyor in the last step [m].
         """
         F, Q = self._matrices(dt, seating)
         F = self._set_frequencies(F, state, dt)
         F[X, self._slope] = F[Z, self._slope + 1] = speed * dt
+        F[X, self._ratio] = swayed
         late = _late_way(state, dt, unit)
         for swing, factor in self._with_factors(state):
             # A speed of 0 is one that is not known yet, or was not: no stop or start is in it.
@@ -258,7 +305,15 @@ class Transverse:
         P = F.dot(state.P).dot(F.T)
         P += Q
         shrinkage = None if state.shrinkage is None else F.dot(state.shrinkage)
-        return replace(state, x=F.dot(state.x), P=P, speed=speed, unit=unit, shrinkage=shrinkage)
+        return replace(
+            state,
+            x=F.dot(state.x),
+            P=P,
+            speed=speed,
+            unit=unit,
+            swaying=swayed / dt,
+            shrinkage=shrinkage,
+        )
 
     def _set_frequencies(self, F: Array, state: TransverseState, dt: float) -> Array:
         """Return a copy of A with each swing at its frequency, linearised in that one's error."""
@@ -292,7 +347,8 @@ class Transverse:
         noise[:TURN] = self.fusion.position**2 * dt
         noise[TURN:STATIC] = turning**2 * dt
         noise[STATIC : self._slope] = self.fusion.swing**2 * dt
-        noise[self._slope : self._camera] = self.fusion.askew_walk**2 * dt
+        noise[self._slope : self._ratio] = self.fusion.askew_walk**2 * dt
+        noise[self._ratio] = RATIO_WALK**2 * dt
         if self.camera is not None:
             k = self._camera
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
@@ -355,6 +411,7 @@ class Transverse:
                 H[X, j], H[Z, j], H[axis, j] = x * slope, z * slope, slope
         # The speed now is good enough: at 10 mrad a stop in the delay is 5 um of error.
         H[X, self._slope] = H[Z, self._slope + 1] = -delay * state.speed
+        H[X, self._ratio] = -delay * state.swaying
         return H
 
     def correct(
@@ -423,6 +480,32 @@ class Transverse:
         )
         folded = self.folded(state, x, P)
         return replace(folded, rejected=0, nis=nis, shrinkage=shrinkage), True
+
+    def correct_ratio(
+        self, state: TransverseState, measured: PoseMeasurement, dt: float
+    ) -> TransverseState:
+        """Return the estimate whose ratio alone follows a felt pose.
+
+        A target that follows a deflection drives a body. One that follows the sway does not.
+
+        Args:
+            dt: since the last felt pose [s].
+        """
+        k, P = self._ratio, state.P
+        h = self.observation_rows(state, measured.delay)[X]
+        # What x, and all the rest, would be with another ratio.
+        way = P[k] / P[k, k]
+        seen = float(h.dot(P[k]))
+        S = float(h.dot(P).dot(h)) + RATIO_NOISE**2 / dt
+        K = seen / S * way
+        off = float(measured.position[0]) - float(h.dot(state.x))
+        mean = off if state.felt is None else state.felt + dt / SWAY_S * (off - state.felt)
+        # A part that sags, or is not where it was seen, is off in a quiet contact too.
+        x = state.x + (off - mean) * K
+        before = state.shrinkage
+        shrinkage = None if before is None else before - float(h.dot(before)) * K
+        later = self.folded(state, x, P - seen * K[:, None] * way)
+        return replace(later, shrinkage=shrinkage, felt=mean)
 
     @cached_property
     def _errors(self) -> tuple[tuple[slice, float], ...]:

@@ -225,6 +225,21 @@ def test_an_object_that_moves_askew_is_off_by_its_slopes_times_the_way_from_now(
     assert np.allclose(now, now_askew)
 
 
+def test_an_object_that_its_sway_lifts_is_led_by_as_much() -> None:
+    along, angles = np.array((0.3, 0.31, 0.36)), np.zeros((1, 3))
+    level = Part(-1.06, 2.17, along, rotations.exp(TILT), angles)
+    lifted = Part(
+        -1.06, 2.17, along, rotations.exp(TILT), angles, lifted=np.array((1e-4, 1e-3, 3e-3))
+    )
+    relative = np.tile((0.0, 0.0, -0.2, 0.0, 0.0, 0.0), (3, 1))
+    tcp, now = approach.sensed(level, (MODE,), relative, turned=False)
+    moved, now_lifted = approach.sensed(lifted, (MODE,), relative, turned=False)
+    off = np.zeros((3, 6))
+    off[:, 0] = lifted.lifted
+    assert np.allclose(moved - tcp, off, atol=1e-15)
+    assert np.allclose(now_lifted - now, off[0], atol=1e-15)
+
+
 def test_a_blend_takes_its_usual_time_unless_the_object_has_gone_far() -> None:
     assert approach.catch_up_time(0.11, 0.5) == 0.5
     late = approach.catch_up_time(0.76, 0.5)

@@ -25,6 +25,9 @@ from linemate.daemon.core.tracking.transverse import (
     LEAST_INFLATION,
     MOST_JUMPS,
     MOST_REJECTED,
+    NO_SWAY,
+    RATIO_DEVIATION,
+    RATIO_WALK,
     STATIC,
     TURN,
     Transverse,
@@ -358,7 +361,7 @@ def transition(dt: float, size: int, modes: tuple[SwingMode, ...]) -> Array:
         w, i = 2.0 * math.pi * mode.frequency_hz, STATIC + 2 * m
         d = -mode.damping * w
         generator[i : i + 2, i : i + 2] = ((d, w), (-w, d))
-    generator[:2, -2:] = SPEED * np.eye(2)
+    generator[:2, -3:-1] = SPEED * np.eye(2)
     return np.asarray(linalg.expm(generator * dt))
 
 
@@ -370,8 +373,8 @@ def witness(state: TransverseState, modes: tuple[SwingMode, ...]) -> KalmanFilte
     kf.x[TURN:STATIC] = rotations.log(state.rotation)
     kf.P = state.P.copy()
     fusion = FusionSettings()
-    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC - 2)
-    rates += [fusion.askew_walk] * 2
+    rates = [fusion.position] * 2 + [fusion.angle] * 3 + [fusion.swing] * (size - STATIC - 3)
+    rates += [fusion.askew_walk] * 2 + [RATIO_WALK]
     kf.Q = np.diag(np.array(rates) ** 2) * T0
     kf.F = transition(T0, size, modes)
     kf.R = np.diag(VARIANCE[[0, 2, 3, 4, 5]])
@@ -409,7 +412,7 @@ def test_the_recursion_is_filterpys(modes: tuple[SwingMode, ...]) -> None:
             H[0] += mode.levers[0] * row
             H[1] += mode.levers[2] * row
             H[TURN + mode.axis] += row
-        H[:2, -2:] = -delay * SPEED * np.eye(2)
+        H[:2, -3:-1] = -delay * SPEED * np.eye(2)
         turn = rotations.log(sighting.rotation)
         R = np.diag(sighting.variance[[0, 2, 3, 4, 5]] + own._walk(delay))
         kf.update(np.concatenate((sighting.position[[0, 2]], turn)), R=R, H=H)
@@ -424,15 +427,16 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
     rng = np.random.default_rng(seed)
     size = STATIC + 4
     start = np.diag(np.r_[(2e-3,) * 2, (5e-3,) * 3, (4e-3,) * 2, (5e-3,) * 2] ** 2)
-    F = transition(T0, size, (EXACT,))
+    F = transition(T0, size + 1, (EXACT,))[:size, :size]
     own = Transverse(fusion, (EXACT,))
     walk = np.r_[(fusion.position,) * 2, (fusion.angle,) * 3, (fusion.swing,) * 2]
     walk = np.r_[walk, (fusion.askew_walk,) * 2] * math.sqrt(T0)
     first = rng.multivariate_normal(np.zeros(size), start)
     truth = [first.copy()]
     rotation = [rotations.exp(first[TURN:STATIC]) @ rotations.exp(OFF)]
-    state = TransverseState(np.zeros(size), start, rotations.exp(OFF))
-    state = structs.replace(state, x=np.r_[PLACE[[0, 2]], np.zeros(size - 2)])
+    # Nothing sways: the ratio to it, the last state, is independent of all others.
+    P = linalg.block_diag(start, RATIO_DEVIATION**2)
+    state = TransverseState(np.r_[PLACE[[0, 2]], np.zeros(size - 1)], P, rotations.exp(OFF))
     truth[0][:2] += PLACE[[0, 2]]
     found = []
     for k in range(1, CHECKS * 60 + 1):
@@ -448,9 +452,9 @@ def squared_errors(seed: int, late: int, fusion: FusionSettings) -> list[float]:
             )
             state, _ = own.correct(state, sighting, 8.0)
         if k % 60 == 0:
-            error = truth[-1] - state.x
+            error = truth[-1] - state.x[:size]
             error[TURN:STATIC] = rotations.log(rotation[-1] @ state.rotation.T)
-            found.append(float(error @ np.linalg.solve(state.P, error)))
+            found.append(float(error @ np.linalg.solve(state.P[:size, :size], error)))
     return found
 
 
@@ -498,7 +502,7 @@ def test_a_frequency_stays_near_what_was_identified_whatever_is_seen() -> None:
 def test_a_frequency_taken_for_exact_has_no_state() -> None:
     own = Transverse(FusionSettings(), (EXACT, MODE))
     state = own.initial([seen(PLACE, rotations.exp(OFF), 0.0, 0.1)] * 5)
-    assert len(state.x) == own.size == STATIC + 4 + 2 + 1
+    assert len(state.x) == own.size == STATIC + 4 + 3 + 1
     for k in range(40):
         sighting = seen(PLACE, rotations.exp(OFF), float(angle(k * T0)), 0.0)
         state, _ = own.correct(own.predict(state, T0), sighting, GATE)
@@ -581,6 +585,67 @@ def test_a_conveyor_that_is_askew_is_learnt_while_it_runs_and_stands_when_it_sta
             assert taken
     assert np.allclose(FILTER.slopes(state), slopes, atol=1.2e-3)
     assert np.abs(state.x[:2] - place(5.0)[[0, 2]]).max() < 0.3e-3
+
+
+def felt(x: float, state: TransverseState) -> PoseMeasurement:
+    """A deflection as the filter across the conveyor takes it of an object that gives way."""
+    variance = np.r_[(2.4e-3,) * 3, (2.4e-3,) * 3] ** 2
+    place = np.array((x, 0.0, float(state.x[1])))
+    return PoseMeasurement(place, state.rotation, 0.0, variance)
+
+
+@pytest.mark.parametrize("ratio", [-0.4, 0.25])
+def test_a_body_that_pitches_in_step_with_its_sway_is_led_after_an_eighth_of_it(
+    ratio: float,
+) -> None:
+    """12 mm along at 0.7 Hz: by the first extreme x has moved by 3 to 5 mm."""
+    state = run(1.0)
+    begin, before = float(state.x[0]), 0.0
+    for k in range(1, 60):
+        sway = 0.012 * math.sin(2.0 * math.pi * 0.7 * k * T0)
+        state = FILTER.predict(state, T0, swayed=sway - before)
+        before = sway
+        measured = felt(begin + ratio * sway, state)
+        state, _ = FILTER.correct(FILTER.correct_ratio(state, measured, T0), measured, 20.0)
+        if k * T0 > 0.125 / 0.7:
+            assert float(state.x[0]) == pytest.approx(begin + ratio * sway, abs=0.8e-3)
+    assert FILTER.ratio(state) == pytest.approx(ratio, rel=0.15)
+
+
+def test_a_felt_pose_without_a_sway_moves_the_object_no_sooner() -> None:
+    state = run(1.0)
+    x = float(state.x[0])
+    for _ in range(20):
+        state = FILTER.predict(state, T0)
+        after = FILTER.correct_ratio(state, felt(x + 0.003, state), T0)
+        assert float(after.x[0]) == pytest.approx(float(state.x[0]), abs=1e-9)
+        state = after
+    assert FILTER.ratio(state) == 0.0
+
+
+def test_a_part_that_is_off_in_a_quiet_contact_shows_no_ratio_as_the_body_sways() -> None:
+    """2 mm off for 8 s, and a sway of 3 mm then: read as a ratio, that gave 1200 N."""
+    state = run(1.0)
+    x, sway = float(state.x[0]), 0.0
+    for k in range(700):
+        way = 0.03 * T0 if k > 600 else 0.0
+        sway += way
+        state = FILTER.predict(state, T0, swayed=way)
+        state = FILTER.correct_ratio(state, felt(x + 0.002, state), T0)
+    assert sway == pytest.approx(0.0356, rel=0.01)
+    assert abs(FILTER.ratio(state)) < 0.01
+
+
+def test_a_sway_that_jumps_or_drifts_is_another_estimate() -> None:
+    sway, drift = NO_SWAY.moved(0.01, T0), 0.0
+    assert sway.way == 0.0
+    assert sway.moved(0.011, T0).way == pytest.approx(0.001, rel=0.01)
+    assert sway.moved(0.02, T0).way == 0.0
+    for _ in range(500):
+        drift += 0.001 * T0
+        sway = sway.moved(0.01 + drift, T0)
+    assert drift == pytest.approx(0.006)
+    assert sway.off < 0.0016
 
 
 def test_a_conveyor_configured_straight_is_never_askew() -> None:

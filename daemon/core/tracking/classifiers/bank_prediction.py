@@ -276,7 +276,7 @@ def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
     """Return the estimate of the conveyor now."""
     x = ramp_estimate(model, state).tolist()
     v, random = x[V], x[RANDOM]
-    variance = state.P.diagonal().tolist()
+    variance, led = state.P.diagonal().tolist(), guide.led_state(state).x
     return ConveyorEstimate(
         position=x[Y] + x[IMPULSE] + x[SWAY] + x[RIPPLE],
         speed=v + random + x[RIPPLE_QUADRATURE] * model.ripple_rate(state),
@@ -288,5 +288,6 @@ def estimate(model: BankModel, state: BankState) -> ConveyorEstimate:
         confidence=state.change_odds,
         events=state.events,
         sway=x[SWAY],
+        swayed=float(led[SWAY] - led[OFFSET]),
         unknown_sway=sway_filter.unknown_sway(model, state),
     )

@@ -153,9 +153,10 @@ class BankClassifier(BankModel):
 
     def predict_sway(self, state: BankState, times: Array) -> Array:
         """Return the part (m,) of these positions that is the body's sway [m]."""
-        if not state.sway_omega:
+        led = guide.led_state(state)
+        if not led.sway_omega:
             return np.zeros(len(times))
-        return bank_prediction.sway_ahead(self, state, state.x.tolist(), state.motion, times)
+        return bank_prediction.sway_ahead(self, led, led.x.tolist(), led.motion, times)
 
     def estimate(self, state: BankState) -> ConveyorEstimate:
         """Return the estimate of the conveyor now."""
