@@ -180,9 +180,9 @@ def _after_impulse(model: BankModel, state: BankState) -> Array:
 def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float]:
     """Return the weights of a change of class and of an impulse in the prediction.
 
-    On a ramp a mixture does harm without the force. A penalty keeps quiet tracking quiet. Neither
-    counts while the distance sensor is rejected: no class explains its readings, so the ones before
-    are no evidence of a stop. The sensor may be frozen.
+    On a ramp a mixture does harm, but for a start that the force shows within a stop. A penalty
+    keeps quiet tracking quiet. Neither counts while the distance sensor is rejected: no class
+    explains its readings, so the ones before are no evidence of a stop. The sensor may be frozen.
     """
     # The null filter does not know where an object is that hangs: it was 30 mm off.
     hangs = state.guide is not None and state.guide.hangs and not state.is_firm
@@ -193,19 +193,19 @@ def hypothesis_weights(model: BankModel, state: BankState) -> tuple[float, float
     if state.rejected.get(Source.DISTANCE, 0) >= CONTRADICTED:
         return 0.0, 0.0
     caution, penalty = 1.0, model.bank.penalty
-    is_ramp = state.motion in RAMPS
+    stops = state.motion is Motion.STOPPING
     if state.motion is Motion.STANDING:
         penalty = 0.0
+    elif state.motion is Motion.STARTING or (stops and not state.is_keen):
+        return 0.0, 0.0
     elif state.is_keen:
         caution, penalty = model.bank.contact_caution, model.bank.contact_penalty
-    elif is_ramp:
-        return 0.0, 0.0
     odds = state.change.odds
     if state.distance_odds is not None and not state.is_firm:
         # What the distance sensor denies is a body that swings. Undecided, as it is in the first
         # 0.1 s of each stop, it denies nothing: a target that waited for it was 0.1 s late.
-        # A body that a ramp has made swing looks like the next change: there it decides.
-        undecided = penalty if is_ramp else UNDECIDED
+        # A body that a stop has made swing looks like a start: there it decides.
+        undecided = penalty if stops else UNDECIDED
         odds = min(odds, undecided + DENIAL * state.distance_odds)
     change = caution * (odds - penalty)
     impulse = state.impulse.odds - max(penalty, model.impulse.confirmed)
