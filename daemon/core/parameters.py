@@ -81,6 +81,7 @@ def _classifier(task: TaskFile, settings: TrackingSettings) -> Classifier:
             settings.wave,
             settings.tactile.compliance,
             settings.sway,
+            max(settings.tactile.stiffness[:2]),
         )
     if settings.classifier is ClassifierKind.IMM:
         from linemate.daemon.core.tracking.classifiers.classifier_imm import ImmClassifier

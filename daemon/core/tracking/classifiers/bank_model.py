@@ -211,6 +211,7 @@ class BankModel:
         distance_deviation: one sigma of a reading of the distance sensor [m].
         mixture: the prediction weighs the hypotheses; False takes the class in force.
         compliance: times the sigma of a deflection with which the guide takes it.
+        stiffness: of the mount across the tool's axis [N/m].
     """
 
     conveyor: ConveyorClasses
@@ -222,6 +223,7 @@ class BankModel:
     ripple: RippleSettings = field(default_factory=RippleSettings)
     compliance: float = 1.0
     sway: SwaySettings = field(default_factory=SwaySettings)
+    stiffness: float = 50e3
 
     @cached_property
     def may_hang(self) -> bool:

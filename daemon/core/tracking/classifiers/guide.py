@@ -62,7 +62,8 @@ CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
 FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
 LARGEST_PULL = 0.0003  # of a deflection on it: a body that rings by more is not driven by more [m]
-FARTHEST_FELT = 0.002  # from where the tool measures the object: 100 N on a mount of 50 N/mm [m]
+FARTHEST_FELT_N = 100.0  # force of the tool on the object that the guide leaves
+BRAKE_S = 0.1  # in which an assumed sway loses the speed by which an object is left behind [s]
 LOST_S = 0.1  # for which the distance sensor contradicts it at most, if the filter agrees [s]
 HELD_S = 1.5  # for which it leads on without a deflection: a retreat needs 1 s [s]
 LARGEST_SURPRISE = 0.005  # by which an end speed may differ from the foreseen one [m/s]
@@ -108,7 +109,7 @@ def advance(
     omega = state.sway_omega if sways and not hangs else guide.sway_omega
     led, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
     for measurement in measurements:
-        corrected = _corrected(model, led, measurement, is_quick=felt.is_quick)
+        corrected = _corrected(model, led, measurement, is_quick=felt.is_quick, hangs=hangs)
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
             felt = felt_drift.observed(felt, off, before.felt_s + dt)
@@ -213,12 +214,18 @@ def _predicted(
 
 
 def _corrected(
-    model: BankModel, led: BankState, measurement: PositionMeasurement, *, is_quick: bool
+    model: BankModel,
+    led: BankState,
+    measurement: PositionMeasurement,
+    *,
+    is_quick: bool,
+    hangs: bool,
 ) -> BankState:
     """Return (2)-(4) for one measurement; one beyond its gate changes nothing.
 
     Args:
         is_quick: the deflection swings to and fro quickly.
+        hangs: the sway that leads is assumed, not identified.
     """
     h = model.observation_row(measurement, led)
     variance = measurement.variance
@@ -233,15 +240,40 @@ def _corrected(
     K: Array = Ph / S
     x = led.x + nu * K
     if measurement.source is Source.TACTILE:
-        pull = min(max(nu, -LARGEST_PULL), LARGEST_PULL)
+        pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
         x = led.x + pull * K
-        far = 0.0 if is_quick else nu - min(max(nu, -FARTHEST_FELT), FARTHEST_FELT)
-        x[Y] += far
-        x[OFFSET] -= far
+        far = 0.0 if is_quick else nu - min(max(nu, -limit), limit)
+        way = far - (_brake(x, far, led.sway_omega) if hangs else 0.0)
+        x[Y] += way
+        x[OFFSET] -= way
     low, high = RIPPLE_FACTORS
     factor, x[FREQUENCY] = min(max(led.ripple_factor + float(x[FREQUENCY]), low), high), 0.0
     x[PACE] = 0.0  # the null filter knows the sway's frequency better
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
+
+
+def _brake(x: Array, far: float, omega: float) -> float:
+    """Return the part of a way that an assumed sway takes, which is less and slower then.
+
+    The object is left behind by it, so it hangs on something stiffer. The sway never gains by it:
+    it would follow an object that swings, and drive it.
+
+    Args:
+        x: states of the guide, changed in place.
+        far: way that the deflection is beyond ``FARTHEST_FELT_N`` [m].
+        omega: frequency of the sway [rad/s].
+    """
+    taken = _less(float(x[SWAY]), far)
+    x[SWAY] += taken
+    x[SWAY_QUADRATURE] += _less(float(x[SWAY_QUADRATURE]), far / (BRAKE_S * omega))
+    return taken
+
+
+def _less(value: float, change: float) -> float:
+    """Return the part of a change that makes a value smaller, at most by itself."""
+    if value * change >= 0.0:
+        return 0.0
+    return math.copysign(min(abs(change), abs(value)), change)
 
 
 def _deflection(model: BankModel, led: BankState, measurement: PositionMeasurement) -> float:
