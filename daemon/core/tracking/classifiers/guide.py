@@ -242,8 +242,9 @@ def _corrected(
     if measurement.source is Source.TACTILE:
         pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
         x = led.x + pull * K
-        far = 0.0 if is_quick else nu - min(max(nu, -limit), limit)
-        way = far - (_brake(x, far, led.sway_omega) if hangs else 0.0)
+        far = nu - min(max(nu, -limit), limit)
+        taken = _brake(x, far, led.sway_omega) if hangs else 0.0
+        way = 0.0 if is_quick else far - taken
         x[Y] += way
         x[OFFSET] -= way
     low, high = RIPPLE_FACTORS
