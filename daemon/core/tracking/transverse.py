@@ -542,8 +542,16 @@ class Transverse:
             # One product for both terms: the gain's rows, and what the shift adds to the spread.
             left = np.concatenate((rows, shift[None])).T
             P = P - left.dot(np.concatenate((none * gain, (none * (none - 1.0) * shift)[None])))
-        c = slice(self._camera, self._camera + ERRORS)
-        return replace(state, shrinkage=x - state.x, errors=P[c, c])
+        return replace(state, shrinkage=x - state.x, errors=self._errors_known(P))
+
+    def _errors_known(self, P: Array) -> Array:
+        """Return the covariance (4, 4) of the camera's errors if the share of slip is known.
+
+        The filter along the conveyor has that share as a state: here it would count twice.
+        """
+        c, s = slice(self._camera, self._camera + ERRORS), self._camera + SLIP
+        slip = float(P[s, s])
+        return P[c, c] - np.outer(P[c, s], P[s, c]) / slip if slip > 0.0 else P[c, c]
 
     def believed(self, state: TransverseState) -> TransverseState:
         """Return the estimate for readers: errors count as far as they are likely."""
@@ -618,7 +626,7 @@ class Transverse:
             return measured
         k = slice(self._camera, self._camera + ERRORS)
         error = sensitivity.dot(self.believed(state).x[k])
-        P = state.P[k, k] if state.errors is None else state.errors
+        P = self._errors_known(state.P) if state.errors is None else state.errors
         spread = np.add.reduce(sensitivity.dot(P) * sensitivity, axis=1)
         return PoseMeasurement(
             measured.position - error[:3],
