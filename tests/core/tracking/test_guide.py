@@ -436,7 +436,12 @@ def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float
 
 
 def stopped_by(
-    followed: float, bank: BankClassifier = BANK, *, ends: bool = False, swings: FeltDrift = UNFELT
+    followed: float,
+    bank: BankClassifier = BANK,
+    *,
+    ends: bool = False,
+    swings: FeltDrift = UNFELT,
+    within_ramp: bool = False,
 ) -> tuple[BankState, float]:
     """The guide as a stop is declared 0.3 s late, and where the tool feels the object [m].
 
@@ -444,6 +449,7 @@ def stopped_by(
         followed: share of what the conveyor has lost that the object has lost as well.
         ends: the conveyor stands by then.
         swings: the tool's deflection so far.
+        within_ramp: the conveyor was starting.
     """
     before, _ = in_contact(3.0, 0.0)
     assert before.guide is not None
@@ -458,6 +464,7 @@ def stopped_by(
     events = (("stop", "confirmed"),)
     motion = Motion.STANDING if ends else Motion.STOPPING
     after = structs.replace(before, x=x, P=P, motion=motion, events=events, class_age=0.3)
+    after = structs.replace(after, within_ramp=within_ramp)
     row = PositionMeasurement(Source.TACTILE, felt, 0.0, 3e-5**2, 20.0)
     return guide.advance(bank, before, after, [row], DT), felt
 
@@ -492,6 +499,14 @@ def test_an_object_that_has_followed_its_conveyor_is_led_with_it() -> None:
     assert state.guide is not None
     assert not state.guide.hangs
     assert led_way(state, felt, 0.1) < 0.8 * SPEED * 0.1
+
+
+@pytest.mark.parametrize(("followed", "within_ramp"), [(-0.5, False), (0.0, True)])
+def test_an_object_that_swings_does_not_hang(followed: float, within_ramp: bool) -> None:
+    """It is farther on than at its speed, or a ramp moved it: led by 0.6 Hz it got 398 N."""
+    state, _ = stopped_by(followed, within_ramp=within_ramp)
+    assert state.guide is not None
+    assert not state.guide.hangs
 
 
 @pytest.mark.parametrize(

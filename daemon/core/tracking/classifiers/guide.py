@@ -383,7 +383,9 @@ def _going_on(
 def _may_hang(model: BankModel, state: BankState, *, sways: bool) -> bool:
     """Return whether the object may hang from its conveyor by a sway that is not identified."""
     is_led = sways and state.sway_omega > 0.0
-    return model.may_hang and not is_led and has_changed_class(state.events)
+    # Within a ramp an object is swinging from its begin: one that hangs has shown it then.
+    is_first = has_changed_class(state.events) and not state.within_ramp
+    return model.may_hang and not is_led and is_first
 
 
 def _gone_on(
@@ -408,8 +410,9 @@ def _gone_on(
     if not felt or abs(lost) < LEAST_LOST:
         return 0.0
     off = _deflection(model, was, felt[-1]) if swung is None else swung
-    share = min(1.0 + off / lost, model.sway.gain_deviation)
-    return share if share > HANGING else 0.0
+    share = 1.0 + off / lost
+    # Farther on than at the speed that it had it is driven by something else: it swings.
+    return min(share, model.sway.gain_deviation) if HANGING < share < 2.0 - HANGING else 0.0
 
 
 def _steady(led: BankState) -> BankState:
