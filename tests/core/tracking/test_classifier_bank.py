@@ -675,6 +675,22 @@ def test_a_frozen_sensor_widens_no_filter_before_its_health_excludes_it(touch: b
     assert 0.2 < lasting < 0.4
 
 
+@pytest.mark.parametrize(
+    ("contact", "firm", "deviation"),
+    [(True, False, 0.002), (True, False, 0.02), (True, True, 0.002), (False, False, 0.002)],
+)
+def test_a_widened_filter_tests_for_changes_as_the_force_shows_the_speed(
+    contact: bool, firm: bool, deviation: float
+) -> None:
+    """It missed a start within a stop for 0.6 s: 392 N."""
+    P = np.zeros((STATES, STATES))
+    P[V, V] = deviation**2
+    widened = structs.replace(BANK.initial(0.0), P=P, contact=contact, is_firm=firm)
+    later = bank_filter.predict(BANK, widened, T0)
+    is_known = contact and not firm and deviation < bank_filter.KNOWN
+    assert bool(len(later.changes)) is is_known
+
+
 def test_readings_that_have_jumped_and_go_on_widen_the_filter_at_once() -> None:
     lasting = widened_after(lambda later: NOMINAL * (2.0 + later) - 0.02)
     assert lasting is not None

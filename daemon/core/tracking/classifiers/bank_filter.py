@@ -35,6 +35,7 @@ from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, 
 SWAY_DEVIATION = 0.001  # of the amplitude of a known sway when the estimate begins [m]
 OFFSET_DEVIATION = 0.1  # of x10 before anything but the distance sensor saw the object [m]
 SETTLING = 0.6  # the banks are empty until the speed is estimated [s]
+KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 LEAST_SPREAD_S = 0.05  # root of the rejected readings' squared times: a speed to 8 mm/s [s]
 BACK_SHARE = 0.25  # of the nominal speed, backwards: a body that sways is slower
 BACK_SIGMAS = 4.0  # of the noise, by which readings have to run backwards
@@ -97,7 +98,10 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
     diagonal = P.reshape(-1)[:: STATES + 1]
     diagonal += model.process_noise(state, dt)
     changes, impulses = state.changes, state.impulses
-    if state.age > SETTLING:
+    # The force shows the speed sooner: a start within a stop was missed while the filter settled.
+    # On a firm object a force that contradicts the distance sensor shows nothing.
+    is_felt = state.contact and not state.is_firm
+    if state.age > SETTLING or (is_felt and float(P[V, V]) < KNOWN**2):
         onsets = model.onsets_now(state)
         changes = onset_bank.propagate(changes, onsets, F, dt, model.bank.longest_onset)
         if state.contact:

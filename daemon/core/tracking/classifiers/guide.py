@@ -57,7 +57,6 @@ from linemate.daemon.core.tracking.conveyor import (
 
 _SWING = slice(IMPULSE, RIPPLE)
 _SWAY = slice(SWAY, STATES)
-KNOWN = 0.003  # deviation of a speed that is known again [m/s]
 CONTRADICTED = 4  # readings beyond the gate in a row that contradict the guide
 FARTHEST_HELD = 0.006  # from the null filter's object, where the tool may hold it [m]
 FADE_S = 0.5  # time constant of a sway whose frequency has changed in contact [s]
@@ -100,7 +99,7 @@ def advance(
     agrees = not state.rejected.get(Source.DISTANCE)
     longest = CONTRADICTED if waits else round(LOST_S / dt) if agrees else math.inf
     is_wrong = guide is not None and guide.missed >= longest
-    is_reset = guide is None or (is_wrong and float(state.P[V, V]) < KNOWN**2)
+    is_reset = guide is None or (is_wrong and float(state.P[V, V]) < bank_filter.KNOWN**2)
     if guide is None:
         return replace(state, guide=synchronised(state))
     hangs = guide.hangs
