@@ -691,6 +691,22 @@ def test_a_widened_filter_tests_for_changes_as_the_force_shows_the_speed(
     assert bool(len(later.changes)) is is_known
 
 
+@pytest.mark.parametrize(("odds", "motion"), [(10.0, Motion.STOPPING), (30.0, Motion.STARTING)])
+def test_an_impulse_hides_no_change_within_a_ramp_that_the_distance_sensor_shows(
+    monkeypatch: pytest.MonkeyPatch, odds: float, motion: Motion
+) -> None:
+    """An impulse explains the force of a start within a stop, but not the readings."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    monkeypatch.setattr(BankClassifier, "_distance_odds", lambda *_: odds)
+    shown = onset_bank.begin(np.zeros(STATES), (0.0,), 0.1)
+    swings = onset_bank.begin(np.zeros(STATES), (10.0,), 0.1)
+    shown.sums[:2], swings.sums[0], swings.sums[1] = 200.0, 4e7, 2e5
+    state = structs.replace(
+        bank.initial(0.0), motion=Motion.STOPPING, contact=True, changes=shown, impulses=swings
+    )
+    assert bank._decide(state).motion is motion
+
+
 def test_readings_that_have_jumped_and_go_on_widen_the_filter_at_once() -> None:
     lasting = widened_after(lambda later: NOMINAL * (2.0 + later) - 0.02)
     assert lasting is not None

@@ -72,7 +72,7 @@ RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the 
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
 ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this time [s]
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
-AGREED_STOP = 17.0  # the same of a stop that the bank is certain of
+AGREED_STOP = 17.0  # the same of a stop that the bank is certain of, or of a change on a ramp
 LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
@@ -229,6 +229,9 @@ class BankClassifier(BankModel):
         )
         if self._asks_distance(state, limit):
             state = replace(state, distance_odds=self._distance_odds(state))
+        if state.motion in RAMPS and (state.distance_odds or 0.0) > AGREED_STOP:
+            # An impulse moves the body, and not its conveyor: it explains the force alone.
+            state = replace(state, change_odds=change.odds)
         stronger = self._stronger(state)
         if stronger is not None:
             return stronger
@@ -488,7 +491,7 @@ class BankClassifier(BankModel):
         """
         if not (state.contact or state.motion is not Motion.RUNNING) or state.change.odds <= ASKED:
             return False
-        if state.change_odds > limit or state.impulse_odds > self.impulse.confirmed:
+        if state.change.odds > limit or state.impulse_odds > self.impulse.confirmed:
             return True
         if state.announced_s < math.inf:  # the announcement raises the odds later
             return True
