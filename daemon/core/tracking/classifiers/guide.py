@@ -242,7 +242,7 @@ def _corrected(
         pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
         x = led.x + pull * K
         far = nu - min(max(nu, -limit), limit)
-        taken = _brake(x, far, led.sway_omega) if hangs else 0.0
+        taken = _brake(x, far, led.sway_omega) if hangs and led.sway_omega else 0.0
         way = 0.0 if is_quick else far - taken
         x[Y] += way
         x[OFFSET] -= way
