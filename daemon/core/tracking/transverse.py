@@ -28,9 +28,7 @@ STATIC = 5  # states without the swings
 _MEASURED = np.array((0, 2, 3, 4, 5))  # components of a pose without y
 FREQUENCY_FACTORS = (0.9, 1.1)  # range of the estimated frequency over the identified one
 SWING_DEVIATION = 0.008  # initial sigma of a swing [rad]
-CAMERA = 6  # states of the camera's errors, and two of the distance sensor
-ERRORS = 4  # of these, the camera's: stamp and three biases
-ALONG, SLIP = 4, 5  # offset along the conveyor, and the share that its wheel reads too much
+CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along the conveyor
 LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
@@ -188,7 +186,7 @@ class Transverse:
 
     @cached_property
     def _camera(self) -> int:
-        """Index of the stamp's error, the first of ``CAMERA`` states."""
+        """Index of the stamp's error; behind it three biases and the offset along the conveyor."""
         return self._ratio + 1
 
     @cached_property
@@ -252,8 +250,7 @@ class Transverse:
             k = self._camera
             P[k, k] = self.camera.stamp_offset**2
             P[k + 1, k + 1] = P[k + 2, k + 2] = P[k + 3, k + 3] = self.camera.bias**2
-            P[k + ALONG, k + ALONG] = ALONG_DEVIATION**2
-            P[k + SLIP, k + SLIP] = self.fusion.slip**2
+            P[k + 4, k + 4] = ALONG_DEVIATION**2
         if self._has_lasting:
             np.fill_diagonal(P[self._lasting : self._first_factor, self._lasting :], 1.0)
         return TransverseState(x, P, rotation, frequency_factors=(1.0,) * len(self.swing))
@@ -353,8 +350,7 @@ class Transverse:
             k = self._camera
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
             noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
-            noise[k + ALONG] = ALONG_WALK**2 * dt
-            noise[k + SLIP] = self.fusion.slip_walk**2 * dt
+            noise[k + 4] = ALONG_WALK**2 * dt
         if self.camera is not None and self._has_lasting:
             # Gauss-Markov: its variance stays 1.
             kept, both = (
@@ -435,7 +431,7 @@ class Transverse:
         H = self.observation_rows(state, measured.delay)
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is not None:
-            H[:, self._camera : self._camera + ERRORS] = sensitivity[_MEASURED]
+            H[:, self._camera : self._camera + CAMERA - 1] = sensitivity[_MEASURED]
         if self._has_lasting and measured.lasting is not None:
             k = self._lasting
             places, turned = measured.lasting
@@ -542,16 +538,8 @@ class Transverse:
             # One product for both terms: the gain's rows, and what the shift adds to the spread.
             left = np.concatenate((rows, shift[None])).T
             P = P - left.dot(np.concatenate((none * gain, (none * (none - 1.0) * shift)[None])))
-        return replace(state, shrinkage=x - state.x, errors=self._errors_known(P))
-
-    def _errors_known(self, P: Array) -> Array:
-        """Return the covariance (4, 4) of the camera's errors if the share of slip is known.
-
-        The filter along the conveyor has that share as a state: here it would count twice.
-        """
-        c, s = slice(self._camera, self._camera + ERRORS), self._camera + SLIP
-        slip = float(P[s, s])
-        return P[c, c] - np.outer(P[c, s], P[s, c]) / slip if slip > 0.0 else P[c, c]
+        c = slice(self._camera, self._camera + CAMERA - 1)
+        return replace(state, shrinkage=x - state.x, errors=P[c, c])
 
     def believed(self, state: TransverseState) -> TransverseState:
         """Return the estimate for readers: errors count as far as they are likely."""
@@ -597,7 +585,7 @@ class Transverse:
         if sensitivity is None:
             return state
         k, h = self._camera, np.zeros(self.size)
-        h[k : k + ERRORS], h[k + ALONG], h[k + SLIP] = sensitivity[1], 1.0, -unit
+        h[k : k + CAMERA - 1], h[k + CAMERA - 1] = sensitivity[1], 1.0
         if self._has_lasting and measured.lasting is not None:
             h[self._lasting : self._lasting + 3] = measured.lasting[0][1]
         value = float(measured.position[1]) - unit
@@ -610,7 +598,7 @@ class Transverse:
         if not innovation * innovation <= ALONG_GATE * ALONG_GATE * S:
             # The object may have moved on the unit: its offset counts less from now on.
             P = state.P.copy()
-            P[k + ALONG, k + ALONG] += (ALONG_LEAK * innovation) ** 2
+            P[k + CAMERA - 1, k + CAMERA - 1] += (ALONG_LEAK * innovation) ** 2
             return replace(state, P=P)
         K = Ph / S
         return self.folded(state, state.x + K * innovation, state.P - K[:, None] * Ph)
@@ -624,9 +612,9 @@ class Transverse:
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is None:
             return measured
-        k = slice(self._camera, self._camera + ERRORS)
+        k = slice(self._camera, self._camera + CAMERA - 1)
         error = sensitivity.dot(self.believed(state).x[k])
-        P = self._errors_known(state.P) if state.errors is None else state.errors
+        P = state.P[k, k] if state.errors is None else state.errors
         spread = np.add.reduce(sensitivity.dot(P) * sensitivity, axis=1)
         return PoseMeasurement(
             measured.position - error[:3],

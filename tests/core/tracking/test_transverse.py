@@ -722,29 +722,6 @@ class TestCameraErrors:
         assert doubted.errors is not None
         assert np.diag(doubted.errors) == pytest.approx(np.diag(state.P)[k : k + 4], rel=0.2)
 
-    def test_a_wheel_that_slips_is_no_bias_of_the_camera(self) -> None:
-        chance, sigma, unit = np.random.default_rng(3), np.sqrt(VARIANCE), 0.0
-        first: list[PoseMeasurement] = []
-        state = None
-        for i in range(240):
-            # The range shrinks in the second half alone, and the wheel slips all the time.
-            distance = 0.5 - 0.4 * max(i / 120 - 1.0, 0.0)
-            sensitivity = np.zeros((6, 4))
-            sensitivity[:3, 1:] = distance * np.eye(3)
-            place = np.array((0.1, SPEED * i * FRAME, 0.5)) + sigma[:3] * chance.standard_normal(3)
-            unit = 1.01 * SPEED * i * FRAME
-            measured = PoseMeasurement(place, np.eye(3), 0.0, VARIANCE, sensitivity)
-            if state is None:
-                first.append(measured)
-                state = self.OWN.initial(first) if len(first) == 5 else None
-                continue
-            state, _ = self.OWN.correct(self.OWN.predict(state, FRAME), measured, GATE)
-            state = self.OWN.correct_along(state, measured, unit)
-        assert state is not None
-        k = self.OWN._camera
-        assert state.x[k + transverse.SLIP] == pytest.approx(0.01, abs=0.0015)
-        assert abs(state.x[k + 2]) < 2.0 * math.sqrt(state.P[k + 2, k + 2]) < 0.003
-
     def test_an_object_without_errors_is_where_a_filter_without_them_has_it(self) -> None:
         state, _, _ = self.estimate(0.0, (0.0, 0.0, 0.0))
         with mock.patch.object(transverse, "NONE_ODDS", 1e9):
