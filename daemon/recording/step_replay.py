@@ -23,6 +23,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.classifiers.onset_bank import OnsetBank
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.recording import snapshot, step_codec
 from linemate.daemon.recording.format import CellTexts, DamageReport, ParametersInForce, StateBefore
@@ -370,5 +371,8 @@ def _same_shapes(first: Any, second: Any) -> bool:
     for name in first.__struct_fields__:
         a, b = getattr(first, name), getattr(second, name)
         if isinstance(a, np.ndarray) and np.shape(a) != np.shape(b):
+            return False
+        # How many hypotheses a bank holds differs from step to step.
+        if isinstance(a, OnsetBank) and len(a.sums) != len(b.sums):
             return False
     return True

@@ -669,8 +669,7 @@ def _ease(
     part: Array,
 ) -> TrackerState:
     """Return the state with the shift of the target, which it adds to the target (m, 6)."""
-    speed = 0.0 if view is None else view.speed
-    eases = not state.contact or state.withdrawn is not None
+    speed, eases = 0.0 if view is None else view.speed, not state.contact
     slope = math.nan
     if state.releasing is not None:
         slope = float(target[1, merge.ALONG] - target[0, merge.ALONG]) / tracker.cycle_s

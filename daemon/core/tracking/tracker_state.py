@@ -168,7 +168,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         touched: where the programme was as the contact began.
         fixing: time since the tool was ordered to fix [s]; None before.
         releasing: time since the tool was ordered to release [s]; None before.
-        unloading_s: since then, until the press is gone, as it was ordered [s].
+        unloading_s: time from that order until the press is gone [s].
         withdrawn: time since an emergency retraction began [s]; None without.
         clamped: a retreat waits for the clamp, which is closed on the object or may be.
         keeps: a retreat began from free space: the clamp stays closed, and holds what it carries.

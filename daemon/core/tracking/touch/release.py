@@ -28,7 +28,7 @@ LATERAL_N = 30.0  # mean force across the tool's axis with which it may: the obj
 LONGEST_WAIT_S = 10.0  # for both; the object may leave the robot's reach
 # The press is gone so long after the clamp was ordered to open: it needs as long [s].
 UNLOADING_S = 0.3
-RETREAT_S = 0.1  # it goes in, at least. A press that went at once swung the tool deeper [s]
+RETREAT_S = 0.1  # the press needs to go, at least: at once it swung the tool deeper [s]
 OPENING_S = 0.3  # a shipped clamp needs so long; a mean shows later whether one is still closed [s]
 PULL_S = 0.2  # time constant of that mean [s]; an open tool rings at 4 Hz or more
 SWING_N = 80.0  # rms of a force that may swing a free tool: 1.6 mm on 50 N/mm
@@ -166,7 +166,7 @@ def unloading(
         relative: (m, 6) programmed tcp in the object; not written to.
         since: (m,) times since the order [s].
         commanded: time for which the motion is commanded already [s].
-        lasting: since the order, until the press is gone; ``RETREAT_S`` of it at least [s].
+        lasting: time from the order until the press is gone [s]; it needs ``RETREAT_S`` to go.
     """
     if float(relative[:, 2].max()) <= 0.0:
         return relative
