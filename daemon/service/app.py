@@ -49,6 +49,7 @@ from linemate.daemon.service.cycle_timing import CycleTiming
 from linemate.daemon.service.endpoints import CommandPortError
 from linemate.daemon.service.event_log import EventLog
 from linemate.daemon.service.host import realtime
+from linemate.daemon.service.host.late_imports import LateImports
 from linemate.daemon.service.host.notify import Notifier
 from linemate.daemon.service.idle_rest import LOOK_NS, IdleRest
 from linemate.daemon.service.incidents import IncidentFiles
@@ -137,6 +138,7 @@ class App:
         self._timer = self._cycle_timer(period_ns)
         self.cycle.date = self._timer.lock.date
         self._collector = realtime.Collector()
+        self._imports = LateImports()
         self._helpers = realtime.HelperThreads(realtime.is_fifo())
         self._times = CycleTiming(Timing(period_ns))
         self._incidents = IncidentFiles(incident_directory(station))
@@ -222,6 +224,7 @@ class App:
             on_ready(self.listening())
             self._notifier.ready(self._line())
             log.info("ready: %s", self.listening())
+            self._imports.watch()
             await self._end.wait()
             self._notifier.stopping()
             await self._come_to_rest()
@@ -259,6 +262,7 @@ class App:
         self._timer.open()
 
     async def _close(self) -> None:
+        self._imports.close()
         self._timer.close()
         self._commands.close()
         for link in self._links:

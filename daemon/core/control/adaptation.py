@@ -10,6 +10,7 @@ Invariants:
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from statistics import median
 from typing import Annotated
 
 import numpy as np
@@ -191,7 +192,7 @@ def _fit(
             return "the axis hardly moved"
         log_factor = min(max(log_factor - float(slope @ e) / power, low), high)
         e = residual(log_factor, rows)
-        deviation = 1.4826 * float(np.median(np.abs(e)))
+        deviation = 1.4826 * median(np.abs(e).tolist())
         inliers = np.abs(e) <= max(_OUTLIER * deviation, _OUTLIER * settings.noise)
         rows = rows[inliers]
         e = e[inliers] - e[inliers].mean()

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 from msgspec.structs import replace
@@ -394,7 +395,8 @@ def _has_stepped(model: BankModel, state: BankState, nu: float, count: int) -> b
     speed = float(state.x[V])
     way = values + speed * ages
     first = len(way) - count
-    step = float(np.median(way[first : first + AROUND]) - np.median(way[first - AROUND : first]))
+    after, before = way[first : first + AROUND], way[first - AROUND : first]
+    step = median(after.tolist()) - median(before.tolist())
     slowed = 0.25 * LARGEST_RAMP * float(ages[first - 1] - ages[first]) ** 2
     runs_on = abs(rate[0] - speed) < STEP_SIGMAS * model.distance_deviation / math.sqrt(rate[1])
     return runs_on and max(abs(step - nu), slowed) < STEP_SHARE * abs(nu)
