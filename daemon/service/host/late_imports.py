@@ -4,6 +4,7 @@ An import reads files and runs for 1 to 200 ms, in which no telegram is answered
 needs is imported before the daemon is ready. What is missed there is named once in the journal.
 """
 
+import importlib
 import logging
 import sys
 import threading
@@ -14,6 +15,9 @@ from typing import Final
 
 MOST_NAMED: Final = 20
 """Modules that the journal names."""
+
+ON_DEMAND: Final = ("difflib",)
+"""Modules that the operator's commands import when they need them; the daemon has them before."""
 
 log = logging.getLogger(__name__)
 
@@ -31,6 +35,8 @@ class LateImports(MetaPathFinder):
 
     def watch(self) -> None:
         """Watch the calling thread, until ``close``."""
+        for name in ON_DEMAND:
+            importlib.import_module(name)
         self._thread = threading.get_ident()
         sys.meta_path.insert(0, self)
 
