@@ -6,6 +6,7 @@ Invariants:
     Standard output has one JSON line a state; the rest goes to standard error.
 """
 
+import inspect
 import sys
 from argparse import Namespace
 from dataclasses import MISSING, Field, dataclass, field, fields, make_dataclass, replace
@@ -49,13 +50,13 @@ EmulatorFile = make_dataclass(
 """A file's keys: EmulatorConfig's fields and the ones of ``OWN``."""
 
 _OWN_MEANINGS = """
-        scenario: a shipped scenario's name, or a path.
-        seed: of the run instead of the scenario's.
-        cycle_ms: period of the controller instead of the scenario's [ms].
-        priority: of SCHED_FIFO to ask the host for; None: none.
-        cpus: the only cores to use; empty: all.
+    scenario: a shipped scenario's name, or a path.
+    seed: of the run instead of the scenario's.
+    cycle_ms: period of the controller instead of the scenario's [ms].
+    priority: of SCHED_FIFO to ask the host for; None: none.
+    cpus: the only cores to use; empty: all.
 """
-EmulatorFile.__doc__ = (EmulatorConfig.__doc__ or "").rstrip() + _OWN_MEANINGS
+EmulatorFile.__doc__ = inspect.cleandoc(EmulatorConfig.__doc__ or "") + _OWN_MEANINGS
 
 
 @dataclass(frozen=True, slots=True)

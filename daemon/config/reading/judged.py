@@ -1,5 +1,6 @@
 """What pydantic says of plain values: every error at once, and the JSON schema of a dataclass."""
 
+import inspect
 import json
 import re
 from collections.abc import Iterable, Mapping
@@ -16,7 +17,7 @@ from linemate.daemon.near_names import near_names
 T = TypeVar("T")
 
 # One entry of ``Attributes:``, with its continuation lines.
-_ENTRY = re.compile(r"^ {8}([a-z_][a-z_0-9, ]*): (.+(?:\n {12}.+)*)", re.MULTILINE)
+_ENTRY = re.compile(r"^ {4}([a-z_][a-z_0-9, ]*): (.+(?:\n {8}.+)*)", re.MULTILINE)
 
 
 class _DocumentedSchema(GenerateJsonSchema):
@@ -25,7 +26,8 @@ class _DocumentedSchema(GenerateJsonSchema):
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
         """Return the schema of one dataclass."""
         documented = super().dataclass_schema(schema)
-        docstring = schema["cls"].__doc__ or ""
+        # From Python 3.13 on a docstring comes without the source's indent.
+        docstring = inspect.cleandoc(schema["cls"].__doc__ or "")
         documented["description"] = docstring.partition("\n")[0]
         for names, text in _ENTRY.findall(docstring):
             for name in names.split(","):
