@@ -305,12 +305,13 @@ class BankClassifier(BankModel):
         It is as soon as that is likelier: its odds contain how likely a change is a faster one.
         """
         faster = state.faster
-        if faster is None or not self._shows_faster(state, faster):
+        if faster is None:
             return None
         result = faster.posterior()
         lent = faster.ahead_odds if float(faster.bank.age[0]) > faster.ahead_until else 0.0
         # That the class has ended is as seldom as it is for the prediction.
-        if result.odds - lent < max(0.0, state.change.odds - self.bank.penalty):
+        is_likelier = result.odds - lent >= max(0.0, state.change.odds - self.bank.penalty)
+        if not is_likelier or not self._shows_faster(state, faster):
             return None
         mean, spread = onset_bank.merge_moments(faster.bank, -faster.bank.error, result)
         return replace(
