@@ -14,6 +14,7 @@ from linemate.daemon.core.control import dead_time, kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis, merge
+from linemate.daemon.core.tracking.across.transverse import Transverse
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.damping import damped_until, free_table
@@ -36,7 +37,6 @@ from linemate.daemon.core.tracking.touch.touch_profile import (
 )
 from linemate.daemon.core.tracking.touch.withdrawal import compile_withdrawal
 from linemate.daemon.core.tracking.tracker_state import Foresight, Tracker
-from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.daemon.core.wrench_frame import WrenchFrame
 
 TOOL_AXIS = 2  # of the tcp

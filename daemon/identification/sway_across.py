@@ -19,10 +19,10 @@ import numpy as np
 from msgspec import structs
 
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.across.transverse import Transverse
 from linemate.daemon.core.tracking.classifiers.sway_bank import interpolated
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import SwingMode, TrackingSettings
-from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.daemon.identification.conveyor_ramps import UnitMotion, find_ramps, motion
 from linemate.daemon.identification.outcome import Estimate, ReportLine
 from linemate.daemon.identification.scene_fit import Camera, Views

@@ -19,8 +19,8 @@ from linemate.daemon.config.parameter_list import (
 )
 from linemate.daemon.config.settings import CameraSettings, Config, RecordingSettings
 from linemate.daemon.config.watch_settings import WatchSettings
+from linemate.daemon.core.tracking.across.transverse import Transverse
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings
-from linemate.daemon.core.tracking.transverse import Transverse
 from linemate.protocol.command.frame_codec import MAX_RESULT_BYTES
 from linemate.protocol.command.payloads import encode_result
 from linemate.simulators.harness.setup import shipped_control

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking.across.transverse import NO_SWAY, TransverseState
 from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.distance import measured_noise
@@ -50,7 +51,6 @@ from linemate.daemon.core.tracking.touch import (
 )
 from linemate.daemon.core.tracking.touch.bolt_search import BoltSearch
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
-from linemate.daemon.core.tracking.transverse import NO_SWAY, TransverseState
 from linemate.protocol.stamped_samples import DistanceSample, Vector3
 
 UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]

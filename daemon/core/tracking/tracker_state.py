@@ -10,6 +10,12 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis
+from linemate.daemon.core.tracking.across.transverse import (
+    NO_SWAY,
+    BodySway,
+    Transverse,
+    TransverseState,
+)
 from linemate.daemon.core.tracking.approach import is_quicker
 from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
     AS_CONFIGURED,
@@ -38,7 +44,6 @@ from linemate.daemon.core.tracking.touch.compliance import (
 from linemate.daemon.core.tracking.touch.force_sign import TRUSTED, ForceSign
 from linemate.daemon.core.tracking.touch.tare import NO_TARE, Tare
 from linemate.daemon.core.tracking.touch.withdrawal import Withdrawal
-from linemate.daemon.core.tracking.transverse import NO_SWAY, BodySway, Transverse, TransverseState
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, Vector3, WrenchSample
 
 Foresight = Callable[[int, Array], tuple[Array, Array]]

@@ -16,10 +16,8 @@ from scipy import linalg, stats
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking import transverse
-from linemate.daemon.core.tracking.observation import PoseMeasurement
-from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
-from linemate.daemon.core.tracking.transverse import (
+from linemate.daemon.core.tracking.across import transverse
+from linemate.daemon.core.tracking.across.transverse import (
     FREQUENCY_FACTORS,
     LARGEST_INFLATION,
     LEAST_INFLATION,
@@ -33,6 +31,8 @@ from linemate.daemon.core.tracking.transverse import (
     Transverse,
     TransverseState,
 )
+from linemate.daemon.core.tracking.observation import PoseMeasurement
+from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 
 T0 = 0.012
 SPEED = 0.106  # of the conveyor [m/s]
@@ -137,7 +137,7 @@ def test_the_first_images_import_nothing_while_a_robot_is_answered() -> None:
     """numpy's own median imported 20 ms of modules at the first image after a start."""
     code = (
         "import sys, numpy as np\n"
-        "from linemate.daemon.core.tracking import transverse\n"
+        "from linemate.daemon.core.tracking.across import transverse\n"
         "before = set(sys.modules)\n"
         "transverse._median([np.zeros(3)] * 5)\n"
         "print(sorted(set(sys.modules) - before))\n"

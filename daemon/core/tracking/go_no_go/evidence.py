@@ -6,13 +6,13 @@ import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
+from linemate.daemon.core.tracking.across.transverse import STATIC, TURN, X
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.estimation import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
 from linemate.daemon.core.tracking.reference import last_step
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
-from linemate.daemon.core.tracking.transverse import STATIC, TURN, X
 
 NOW = np.zeros(1)
 EVALUATED_S = 0.6  # before the far gate the decision begins: longer than the horizon [s]
