@@ -69,8 +69,8 @@ _PARTS = {
     "tracking.tare:Turning": "tracking.touch.tare:Turning",
     "tracking.task:Gate": "tracking.task:Gate",
     "tracking.tracker:TrackerState": "tracking.tracker_state:TrackerState",
-    "tracking.transverse:BodySway": "tracking.across.transverse:BodySway",
-    "tracking.transverse:TransverseState": "tracking.across.transverse:TransverseState",
+    "tracking.transverse:BodySway": "tracking.across.body_sway:BodySway",
+    "tracking.transverse:TransverseState": "tracking.across.transverse_state:TransverseState",
     "way_home:HomePath": "way_home:HomePath",
 }
 

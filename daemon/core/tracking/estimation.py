@@ -10,7 +10,8 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.across.transverse import NO_SWAY, TransverseState
+from linemate.daemon.core.tracking.across.body_sway import NO_SWAY
+from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.distance import measured_noise

@@ -10,12 +10,9 @@ from msgspec import Struct
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import linear_axis
-from linemate.daemon.core.tracking.across.transverse import (
-    NO_SWAY,
-    BodySway,
-    Transverse,
-    TransverseState,
-)
+from linemate.daemon.core.tracking.across.body_sway import NO_SWAY, BodySway
+from linemate.daemon.core.tracking.across.transverse import Transverse
+from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.approach import is_quicker
 from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
     AS_CONFIGURED,

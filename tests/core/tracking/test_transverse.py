@@ -16,19 +16,20 @@ from scipy import linalg, stats
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.across import transverse
+from linemate.daemon.core.tracking.across import camera_errors, transverse
+from linemate.daemon.core.tracking.across.body_sway import NO_SWAY
 from linemate.daemon.core.tracking.across.transverse import (
-    FREQUENCY_FACTORS,
-    LARGEST_INFLATION,
-    LEAST_INFLATION,
     MOST_JUMPS,
     MOST_REJECTED,
-    NO_SWAY,
     RATIO_DEVIATION,
-    RATIO_WALK,
+    Transverse,
+)
+from linemate.daemon.core.tracking.across.transverse_model import FREQUENCY_FACTORS, RATIO_WALK
+from linemate.daemon.core.tracking.across.transverse_state import (
+    LARGEST_INFLATION,
+    LEAST_INFLATION,
     STATIC,
     TURN,
-    Transverse,
     TransverseState,
 )
 from linemate.daemon.core.tracking.observation import PoseMeasurement
@@ -724,7 +725,7 @@ class TestCameraErrors:
 
     def test_an_object_without_errors_is_where_a_filter_without_them_has_it(self) -> None:
         state, _, _ = self.estimate(0.0, (0.0, 0.0, 0.0))
-        with mock.patch.object(transverse, "NONE_ODDS", 1e9):
+        with mock.patch.object(camera_errors, "NONE_ODDS", 1e9):
             believed = self.OWN.believed(self.OWN.doubted(state))
         k, n = self.OWN._slope, self.OWN._camera + 4
         P, x = state.P, state.x
