@@ -16,7 +16,7 @@ from itertools import count, pairwise
 from typing import Any, Literal
 
 from linemate.daemon.core.tracking.conveyor import Classifier, PositionMeasurement, Source
-from linemate.daemon.core.tracking.estimation import FIRST_READINGS, FIRST_SPREAD
+from linemate.daemon.core.tracking.estimation.estimate import FIRST_READINGS, FIRST_SPREAD
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.judge.judge import attribute

@@ -27,7 +27,8 @@ from linemate.daemon.core.step import (
     plan,
     step,
 )
-from linemate.daemon.core.tracking import estimation, tracker, tracker_state
+from linemate.daemon.core.tracking import tracker, tracker_state
+from linemate.daemon.core.tracking.estimation import estimate as estimation
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.touch import held_bolts

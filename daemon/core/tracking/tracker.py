@@ -13,7 +13,7 @@ from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, linear_axis, merge
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.damping import horizon_shares
-from linemate.daemon.core.tracking.estimation import (
+from linemate.daemon.core.tracking.estimation.estimate import (
     CLEAR_WAY,
     comply,
     estimate,

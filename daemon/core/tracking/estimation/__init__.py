@@ -1,0 +1,1 @@
+"""Estimation of the object in one step: measurements, predictions and corrections."""
