@@ -25,7 +25,7 @@ from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
-from linemate.daemon.core.tracking.estimation.estimate import elastic
+from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase

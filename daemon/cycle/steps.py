@@ -18,7 +18,7 @@ from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.tracking.estimation.estimate import carried_weights
+from linemate.daemon.core.tracking.estimation.tool_weight import carried_weights
 from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.causes import Change

@@ -28,6 +28,7 @@ from linemate.daemon.core.step import (
     step,
 )
 from linemate.daemon.core.tracking import tracker, tracker_state
+from linemate.daemon.core.tracking.estimation import bolt_corrections, contact_compliance
 from linemate.daemon.core.tracking.estimation import estimate as estimation
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate, Phase
@@ -320,7 +321,7 @@ def test_a_suspect_force_that_swings_is_observed_and_moves_no_target(assembly: A
         wrench = estimation.Wrench(force, np.zeros(3), stamp_ns, 1)
         samples = tracker_state.StepSamples(stamp_ns, None, stamp_ns, (), (), (), 0)
         state = replace(state, history=history)
-        state = estimation.comply(P.tracker, state, samples, None, wrench, part)
+        state = contact_compliance.comply(P.tracker, state, samples, None, wrench, part)
     assert state.compliance.power > 20.0**2
     assert state.compliance.offset == offset
 
@@ -624,7 +625,7 @@ def test_a_released_tool_that_springs_free_shows_no_place_of_the_object(assembly
         felt = tuple(replace(w, force=(-120.0, 0.0, 0.0)) for w in inputs.wrench)
         state, outputs = step(state, replace(inputs, wrench=felt), with_bolts)
         assert not outputs.contact
-        assert state.tracker.held == estimation.UNHELD
+        assert state.tracker.held == bolt_corrections.UNHELD
 
 
 def test_no_screws_are_ordered_in_a_retreat() -> None:

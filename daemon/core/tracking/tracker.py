@@ -13,14 +13,11 @@ from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.tracking import approach, linear_axis, merge
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.damping import horizon_shares
-from linemate.daemon.core.tracking.estimation.estimate import (
-    CLEAR_WAY,
-    comply,
-    estimate,
-    felt_part,
-    is_seated,
-    sagging,
-)
+from linemate.daemon.core.tracking.estimation.contact_compliance import comply, felt_part
+from linemate.daemon.core.tracking.estimation.estimate import estimate
+from linemate.daemon.core.tracking.estimation.force_use import is_seated
+from linemate.daemon.core.tracking.estimation.mount_sag import sagging
+from linemate.daemon.core.tracking.estimation.tool_weight import CLEAR_WAY
 from linemate.daemon.core.tracking.go_no_go import prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING
 from linemate.daemon.core.tracking.go_no_go.decision import GO

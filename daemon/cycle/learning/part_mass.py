@@ -15,7 +15,7 @@ import math
 from collections.abc import Sequence
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.estimation.estimate import gravity
+from linemate.daemon.core.tracking.estimation.tool_weight import gravity
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch.tare import GRAVITY, SHARE, SPRUNG_S, WEIGHT_N

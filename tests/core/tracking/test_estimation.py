@@ -7,7 +7,8 @@ import pytest
 from msgspec import structs
 
 from linemate.daemon.core import parameters
-from linemate.daemon.core.tracking.estimation.estimate import at_delay, estimate
+from linemate.daemon.core.tracking.estimation.estimate import estimate
+from linemate.daemon.core.tracking.estimation.tool_acceleration import at_delay
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.core.tracking.touch.firmness import Swing

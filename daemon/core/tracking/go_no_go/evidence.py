@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.across.transverse_state import STATIC, TURN, X
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
-from linemate.daemon.core.tracking.estimation.estimate import distance_measurement
+from linemate.daemon.core.tracking.estimation.step_measurements import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
 from linemate.daemon.core.tracking.reference import last_step

@@ -5,7 +5,8 @@ import math
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.estimation.estimate import BLIND_S, elastic, is_pulling
+from linemate.daemon.core.tracking.estimation.force_use import BLIND_S, is_pulling
+from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.observation import History
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import (
