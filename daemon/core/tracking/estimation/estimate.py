@@ -45,17 +45,7 @@ def estimate(
     history = state.history
     if samples.tcp is not None:
         history = remember(history, samples.tcp_stamp_ns, samples.tcp, tracker.history_length)
-    transverse = state.transverse
-    if transverse is not None:
-        seating = state.fixing is not None and Gate.SCREWS_FIXED not in state.passed
-        transverse = tracker.transverse.predict(
-            transverse,
-            tracker.cycle_s,
-            seating=seating,
-            speed=state.speed,
-            unit=state.unit,
-            swayed=state.sway.way,
-        )
+    transverse = _predicted(tracker, state)
     state = _announced(tracker, state, samples)
     raw = mean_wrench(samples.wrench)
     state = update_acceleration(tracker, state, raw, samples)
@@ -102,6 +92,20 @@ def estimate(
         distance_noise=distance_noise,
     )
     return state, view, rejected, wrench
+
+
+def _predicted(tracker: Tracker, state: TrackerState) -> TransverseState | None:
+    """Return the prediction across the conveyor, None before enough poses have come."""
+    if state.transverse is None:
+        return None
+    return tracker.transverse.predict(
+        state.transverse,
+        tracker.cycle_s,
+        seating=state.fixing is not None and Gate.SCREWS_FIXED not in state.passed,
+        speed=state.speed,
+        unit=state.unit,
+        swayed=state.sway.way,
+    )
 
 
 def _see(
