@@ -27,6 +27,7 @@ from linemate.daemon.core.tracking import task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
+from linemate.daemon.core.tracking.goal import rest_state, retraction
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.core.tracking.touch import contact_decision
@@ -180,7 +181,7 @@ def initial(
     pose = _tcp(parameters, joints, wound)
     drift = None if before is None else before.control.drift
     return StepState(
-        tracker=tracking.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
+        tracker=rest_state.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
         control=control.at_rest(parameters.controller, joints, pose, wound, drift),
         applied=joints,
         windup=wound,
@@ -195,7 +196,7 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
     joints = _joints(parameters, robot)
     wound = _wound(parameters, state.windup, joints)
     pose = _tcp(parameters, joints, wound)
-    tracker = tracking.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
+    tracker = rest_state.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
     drift = state.control.drift
     rest = control.at_rest(parameters.controller, joints, pose, wound, drift)
     return StepState(tracker, rest, joints, windup=wound)
@@ -372,7 +373,7 @@ def finish(
             held=not inputs.sent and inputs.pace is None,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
-        if tracking.is_interrupted(parameters.tracker, tracker):
+        if retraction.is_interrupted(parameters.tracker, tracker):
             state = _withdraw_again(delivered, tracker, planned.windup, parameters)
             return state, _outputs(state, inputs, planned.report, None, "no reply", parameters)
     # A clamp may have closed unfelt: it is pulled as one that was felt. The distance is infinite
@@ -406,7 +407,7 @@ def _withdraw_again(
     """Return the state of a retraction that begins again where the last command leads the robot."""
     joints = state.applied
     pose, axis = _tcp(parameters, joints, wound), _axis(parameters, joints)
-    tracker = tracking.withdraw_again(parameters.tracker, tracker, pose, axis)
+    tracker = retraction.withdraw_again(parameters.tracker, tracker, pose, axis)
     rest = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
     return StepState(tracker, rest, joints, moving=True, windup=wound)
 
@@ -453,7 +454,7 @@ def _brake(
     pose = _tcp(parameters, joints, wound)
     if is_standing:
         braked = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
-    tracker = tracking.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
+    tracker = rest_state.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
     return StepState(tracker, braked, state.applied, moving=not is_standing, windup=wound)
 
 

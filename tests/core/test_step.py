@@ -30,6 +30,7 @@ from linemate.daemon.core.step import (
 from linemate.daemon.core.tracking import tracker, tracker_state
 from linemate.daemon.core.tracking.estimation import bolt_corrections, contact_compliance
 from linemate.daemon.core.tracking.estimation import estimate as estimation
+from linemate.daemon.core.tracking.goal import rest_state
 from linemate.daemon.core.tracking.settings import PayloadSettings
 from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.tracking.touch import held_bolts
@@ -679,7 +680,7 @@ def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
     withdrawn: float | None, *, is_on_it: bool
 ) -> None:
     there = replace(on_the_object().state.tracker, withdrawn=withdrawn)
-    rested = tracker.rest(P.tracker, there, there.poses[0], 0.0)
+    rested = rest_state.rest(P.tracker, there, there.poses[0], 0.0)
     assert rested.contact == is_on_it
     assert rested.started == is_on_it
     assert rested.withdrawn is None

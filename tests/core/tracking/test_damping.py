@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.damping import FREED_S, horizon_shares
-from linemate.daemon.core.tracking.tracker import at_rest
+from linemate.daemon.core.tracking.goal.rest_state import at_rest
 from linemate.daemon.core.tracking.tracker_state import Tracker
 from linemate.simulators.harness import setup
 

@@ -9,10 +9,10 @@ from msgspec import structs
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.estimation.estimate import estimate
 from linemate.daemon.core.tracking.estimation.tool_acceleration import at_delay
+from linemate.daemon.core.tracking.goal.rest_state import at_rest
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.core.tracking.touch.firmness import Swing
-from linemate.daemon.core.tracking.tracker import at_rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.protocol.stamped_samples import DistanceSample, WrenchSample
 from linemate.simulators.harness.setup import Setup

@@ -12,10 +12,10 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import merge, task_clock
 from linemate.daemon.core.tracking.go_no_go import clock_ramp, evidence
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder, GoState, Zone
+from linemate.daemon.core.tracking.goal.rest_state import at_rest, rest
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import contact, release
-from linemate.daemon.core.tracking.tracker import at_rest, rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.simulators.harness import setup
 

@@ -87,3 +87,17 @@ def felt_part(state: TrackerState, part: Array) -> Array:
     x, y, z = state.compliance.offset
     felt: Array = part + np.array((x, y, z, 0.0, 0.0, 0.0))
     return felt
+
+
+def complied(
+    tracker: Tracker, state: TrackerState, target: Array, part: Array
+) -> tuple[Array, Array]:
+    """Return the target (m, 6) and the object (6,) moved by the compliance's offset.
+
+    An object whose future is known needs none.
+    """
+    if tracker.foresight is not None or not any(state.compliance.offset):
+        return target, part
+    moved = target.copy()
+    moved[:, :3] += state.compliance.offset
+    return moved, felt_part(state, part)

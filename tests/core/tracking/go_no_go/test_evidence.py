@@ -19,9 +19,9 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     Zone,
 )
 from linemate.daemon.core.tracking.go_no_go.target_shift import TargetShift
+from linemate.daemon.core.tracking.goal.rest_state import at_rest
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.contact import ContactState
-from linemate.daemon.core.tracking.tracker import at_rest
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario

@@ -1,0 +1,1 @@
+"""Goal of the tool over the horizon: programmed and sensed poses, retraction, linear axis."""

@@ -1,0 +1,93 @@
+"""Retraction of a tool: back from the object, from a robot that tracked or stood."""
+
+import numpy as np
+from msgspec.structs import replace
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core.horizon import Array
+from linemate.daemon.core.tracking import approach, linear_axis, merge
+from linemate.daemon.core.tracking.task import Gate
+from linemate.daemon.core.tracking.task_clock import LARGEST_BEND
+from linemate.daemon.core.tracking.touch import release, withdrawal
+from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
+
+LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
+HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
+
+
+def is_interrupted(tracker: Tracker, state: TrackerState) -> bool:
+    """Return whether a retraction got no commands for so long that it has to begin again.
+
+    A released tool that has not cleared the object goes back to its place instead.
+    """
+    if state.withdrawn is None or state.stood <= LONGEST_CATCH_UP_S:
+        return False
+    return Gate.WHEEL_RELEASED not in state.passed or _gone(tracker, state) > HUB_DEPTH
+
+
+def withdraw_again(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> TrackerState:
+    """Return the state of a retraction that begins again with its plan at rest."""
+    return replace(
+        state,
+        poses=np.tile(pose, (tracker.steps + 1, 1)),
+        axis=linear_axis.at_rest(axis, tracker.axis_steps),
+        departure=None,
+        withdrawn=0.0,
+        gone=_gone(tracker, state),
+        anchor=None,
+    )
+
+
+def _gone(tracker: Tracker, state: TrackerState) -> float:
+    """Return the way of a retraction to which the last command leads that the robot got [m]."""
+    before = (state.withdrawn or 0.0) - state.stood
+    if before <= 0.0:  # it has begun again in the last step already
+        return state.gone
+    times = np.array([before + release.STANDING_S])
+    return state.gone + float(tracker.withdrawal.way(times, state.gone, state.further)[0])
+
+
+def withdraw(
+    tracker: Tracker, state: TrackerState, goal: Array, part: Array | None
+) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) of a tool that withdraws.
+
+    One that begins again at rest takes up the object's speed as gradually as its own.
+
+    Args:
+        part: (6,) the object now, None while it is not seen.
+    """
+    if state.withdrawn == 0.0 and state.gone <= 0.0:
+        state = replace(state, further=_further(tracker, state, part))
+    times = (state.withdrawn or 0.0) + tracker.span
+    goal = approach.withdraw(goal, tracker.withdrawal.way(times, state.gone, state.further))
+    if state.gone > 0.0:
+        goal[:, merge.ALONG] -= state.speed * withdrawal.lag(times)
+    return state, goal
+
+
+def _further(tracker: Tracker, state: TrackerState, part: Array | None) -> float:
+    """Return the way of a retraction behind the least one [m]; none from an unseen object."""
+    if part is None:
+        return 0.0
+    axis = rotations.exp(state.poses[0, 3:])[:, 2]
+    return tracker.withdrawal.further(float(axis @ (part[:3] - state.poses[0, :3])))
+
+
+def anchor_to(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
+    """Return the state and the goal (m, 6) of a retraction that began from a robot at rest."""
+    anchor = state.anchor
+    if anchor is None:
+        off = state.poses[0] - goal[0]
+        anchor = off if state.gone > 0.0 else _rest_offset(off)
+        state = replace(state, anchor=anchor)
+    return state, goal + anchor if state.started else np.tile(anchor, (len(goal), 1))
+
+
+def _rest_offset(off: Array) -> Array:
+    """Return what a robot that stood keeps between its tcp and the object (6,).
+
+    Nothing as long as the tool can still be on the object: then it is brought back to its place.
+    Else it follows the object from where it is, for it would be led into the object again.
+    """
+    return np.zeros(6) if float(np.linalg.norm(off[:3])) <= LARGEST_BEND else off
