@@ -5,7 +5,6 @@ remember -> predict -> correct -> classify -> predict over the horizon -> approa
 
 import math
 
-import numpy as np
 from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array, Horizon
@@ -82,14 +81,14 @@ def track(
         state, target, part = object_prediction.predict_object(
             tracker, state, view, samples.stamp_ns, along, relative
         )
-        state = sensed_goal.ease(tracker, state, view, samples.stamp_ns, target, part)
+        state = sensed_goal.ease_target(tracker, state, view, samples.stamp_ns, target, part)
         state = comply(tracker, state, samples, view, wrench, part)
         target, part = complied(tracker, state, target, part)
         target = bolt_search.turned(target, state.bolts, span)
-        state, goal = sensed_goal.blend(tracker, state, goal, target)
-        state, goal = sensed_goal.lead(tracker, state, view, goal, along, relative)
+        state, goal = sensed_goal.blend_goal(tracker, state, goal, target)
+        state, goal = sensed_goal.lead_goal(tracker, state, view, goal, along, relative)
     if stood or state.anchor is not None:
-        state, goal = retraction.anchor_to(state, goal)
+        state, goal = retraction.anchor_goal(state, goal)
     if state.withdrawn is not None:
         state, goal = retraction.withdraw(tracker, state, goal, part)
     goal = merge.rounded(goal, tracker.corner)
@@ -121,24 +120,9 @@ def observe(
         state = replace(state, passed=passed, fixing=None, releasing=releasing, touching=touching)
     target = part = None
     if state.transverse is not None and state.conveyor is not None:
-        _, relative = tracker.table.ahead(state.time, math.inf, 0)
-        # As one that tracks: what is checked before the start counts.
-        times = np.array((0.0, *tracker.leads))
-        along = tracker.classifier.predict_positions(state.conveyor, times)
-        rows = np.concatenate((relative, np.zeros((len(tracker.leads), 6))))
-        target, part = object_prediction.sensed_poses(
-            tracker,
-            state,
-            samples.stamp_ns,
-            along,
-            times,
-            rows,
-            object_prediction.added_way(tracker, state, view, along, times),
+        state, target, part = object_prediction.predict_observed(
+            tracker, state, view, samples.stamp_ns
         )
-        if object_prediction.is_prediction_due(tracker, state, view, samples.stamp_ns):
-            state = object_prediction.kept_prediction(
-                tracker, state, view, samples.stamp_ns, target[1:], along[1:]
-            )
         target, part = complied(tracker, state, target, part)
     return state, report(tracker, state, view, wrench, rejected, target, part)
 

@@ -1,5 +1,7 @@
 """Prediction of the object over the horizon, and of the tool that follows it, (5)-(9)."""
 
+import math
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -31,16 +33,16 @@ def predict_object(
     ahead = tracker.span
     count, leads = len(ahead), len(tracker.leads)
     steady = along[:count]
-    added = added_way(tracker, state, view, along, tracker.ahead)
+    added = _added_way(tracker, state, view, along, tracker.ahead)
     # What excites a swing has the corners of the conveyor's way.
     added[:count] = merge.smoothed(added[:count], tracker.corner)
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
-    if not is_prediction_due(tracker, state, view, now_ns):
-        poses, part = sensed_poses(tracker, state, now_ns, steady, ahead, relative, added[:count])
+    if not _is_prediction_due(tracker, state, view, now_ns):
+        poses, part = _sensed_poses(tracker, state, now_ns, steady, ahead, relative, added[:count])
         return state, poses, part
     later, times = along[-leads:], tracker.ahead[-leads:]
-    poses, part = sensed_poses(
+    poses, part = _sensed_poses(
         tracker,
         state,
         now_ns,
@@ -49,11 +51,32 @@ def predict_object(
         np.concatenate((relative, np.zeros((leads, 6)))),
         np.concatenate((added[:count], added[-leads:])),
     )
-    state = kept_prediction(tracker, state, view, now_ns, poses[count:], later)
+    state = _kept_prediction(tracker, state, view, now_ns, poses[count:], later)
     return state, poses[:count], part
 
 
-def is_prediction_due(
+def predict_observed(
+    tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, now_ns: int
+) -> tuple[TrackerState, Array, Array]:
+    """Return the state, x_f now and at the leads (1 + leads, 6), and the object now (6,).
+
+    For a robot that does not track: predictions that are checked before the start count.
+
+    Args:
+        state: with the object's estimate along and across the conveyor.
+    """
+    _, relative = tracker.table.ahead(state.time, math.inf, 0)
+    times = np.array((0.0, *tracker.leads))
+    along = tracker.classifier.predict_positions(state.conveyor, times)
+    rows = np.concatenate((relative, np.zeros((len(tracker.leads), 6))))
+    added = _added_way(tracker, state, view, along, times)
+    poses, part = _sensed_poses(tracker, state, now_ns, along, times, rows, added)
+    if _is_prediction_due(tracker, state, view, now_ns):
+        state = _kept_prediction(tracker, state, view, now_ns, poses[1:], along[1:])
+    return state, poses, part
+
+
+def _is_prediction_due(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, now_ns: int
 ) -> bool:
     """Return whether predictions of this step are kept for their check.
@@ -67,7 +90,7 @@ def is_prediction_due(
     return is_certain(tracker, state, view, tracker.leads[-1])
 
 
-def kept_prediction(
+def _kept_prediction(
     tracker: Tracker,
     state: TrackerState,
     view: ConveyorEstimate | None,
@@ -89,7 +112,7 @@ def kept_prediction(
     return replace(state, monitor=monitor)
 
 
-def added_way(
+def _added_way(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, along: Array, times: Array
 ) -> Array:
     """Return what a change of speed adds to the conveyor's way (m,) [m].
@@ -108,7 +131,7 @@ def added_way(
     return added
 
 
-def sensed_poses(
+def _sensed_poses(
     tracker: Tracker,
     state: TrackerState,
     stamp_ns: int,

@@ -74,7 +74,7 @@ def _further(tracker: Tracker, state: TrackerState, part: Array | None) -> float
     return tracker.withdrawal.further(float(axis @ (part[:3] - state.poses[0, :3])))
 
 
-def anchor_to(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
+def anchor_goal(state: TrackerState, goal: Array) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) of a retraction that began from a robot at rest."""
     anchor = state.anchor
     if anchor is None:

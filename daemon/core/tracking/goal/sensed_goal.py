@@ -18,7 +18,7 @@ from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 STEADY_S = 1.0  # of the conveyor, before a robot's lag is judged [s]
 
 
-def ease(
+def ease_target(
     tracker: Tracker,
     state: TrackerState,
     view: ConveyorEstimate | None,
@@ -39,7 +39,7 @@ def ease(
     return replace(state, shift=shift)
 
 
-def blend(
+def blend_goal(
     tracker: Tracker, state: TrackerState, goal: Array, target: Array
 ) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) between programmed and sensed motion."""
@@ -57,7 +57,7 @@ def blend(
     return state, approach.blend(goal, sensed, share)
 
 
-def lead(
+def lead_goal(
     tracker: Tracker,
     state: TrackerState,
     view: ConveyorEstimate | None,
