@@ -111,3 +111,17 @@ class Station:
         self.run(2 + cycles)
         assert self.cycle.machine.state is State.TRACK
         return self
+
+
+def bare(station: Station) -> bool:
+    """One cycle; whether its reply has no corrections."""
+    reply = station.cycle.on_telegram(station.telegram(), station.stamp_ns)
+    is_bare = reply == b'<Sen Type="ImFree"><IPOC>%d</IPOC></Sen>' % station.ipoc
+    station.next()
+    return is_bare
+
+
+def zero(fields: SensorTelegram) -> bool:
+    assert fields.joints is not None
+    assert fields.external is not None
+    return not any((*fields.joints, *fields.external)) and fields.channels["DiO"] == 0

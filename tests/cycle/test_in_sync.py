@@ -4,6 +4,7 @@ import dataclasses
 from typing import Any
 
 import pytest
+from cycle_station import PERIOD, Station
 from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
@@ -16,7 +17,6 @@ from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.devices.rsi_controller import RsiController
 from linemate.simulators.harness import setup
 from linemate.simulators.harness.lockstep import Lockstep
-from tests.cycle.test_cycle import PERIOD, Station
 
 BIT = 3
 POSE = (1.0, 2.0, 3.0, 1.0, 0.0, 0.0, 0.0)
