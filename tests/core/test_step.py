@@ -27,7 +27,7 @@ from linemate.daemon.core.step import (
     plan,
     step,
 )
-from linemate.daemon.core.tracking import tracker, tracker_state
+from linemate.daemon.core.tracking import observation, tracker, tracker_state
 from linemate.daemon.core.tracking.estimation import bolt_corrections, contact_compliance
 from linemate.daemon.core.tracking.estimation import estimate as estimation
 from linemate.daemon.core.tracking.goal import rest_state
@@ -317,9 +317,9 @@ def test_a_suspect_force_that_swings_is_observed_and_moves_no_target(assembly: A
     offset, part = state.compliance.offset, np.zeros(6)
     for step_ in range(40):
         stamp_ns = inputs.stamp_ns + step_ * 12_000_000
-        history = estimation.remember(state.history, stamp_ns, state.poses[0], 20)
+        history = observation.remember(state.history, stamp_ns, state.poses[0], 20)
         force = np.array((0.0, 60.0 * np.sin(0.4 * step_), 0.0))
-        wrench = estimation.Wrench(force, np.zeros(3), stamp_ns, 1)
+        wrench = observation.Wrench(force, np.zeros(3), stamp_ns, 1)
         samples = tracker_state.StepSamples(stamp_ns, None, stamp_ns, (), (), (), 0)
         state = replace(state, history=history)
         state = contact_compliance.comply(P.tracker, state, samples, None, wrench, part)
@@ -355,7 +355,7 @@ def test_the_torque_of_a_swing_hardly_turns_the_object(assembly: Assembly) -> No
             samples = tracker_state.StepSamples(
                 inputs.stamp_ns, None, 0, inputs.distance, (), felt, 0
             )
-            history = estimation.remember(state.history, inputs.stamp_ns, state.poses[0], 20)
+            history = observation.remember(state.history, inputs.stamp_ns, state.poses[0], 20)
             state = replace(state, history=history, compliance=swung, touching=1.0)
             state, *_ = estimation.estimate(P.tracker, state, samples)
             off = before.transverse.rotation.T @ state.transverse.rotation

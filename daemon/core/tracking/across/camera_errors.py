@@ -14,7 +14,7 @@ from linemate.daemon.core.tracking.across.transverse_state import TransverseStat
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 
 ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
-ALONG_LEAK = 0.1  # share of a rejected innovation by which that offset becomes less certain
+ALONG_LEAK = 0.1  # share of a rejected innovation by which the unit's offset becomes less certain
 ALONG_GATE = 4.0  # reject an innovation along the conveyor beyond this many sigma
 SPEED_SPAN_S = 0.02  # over which the object's speed is taken [s]
 NONE_ODDS = 4.0  # prior odds that an error of the camera or the conveyor's direction is not there

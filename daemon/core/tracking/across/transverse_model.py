@@ -32,8 +32,8 @@ CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along t
 LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
-RATIO_WALK = 0.05  # random walk of that ratio [1/sqrt(s)]
-ALONG_WALK = 0.0002  # random walk of that offset [m/sqrt(s)]
+RATIO_WALK = 0.05  # random walk of the way in x for each metre of sway [1/sqrt(s)]
+ALONG_WALK = 0.0002  # random walk of the object's offset from the unit [m/sqrt(s)]
 
 
 @dataclass(frozen=True, slots=True)
