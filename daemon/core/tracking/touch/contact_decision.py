@@ -41,14 +41,7 @@ def update_contact(
     if held or before.stood > 0.0:
         after = replace(after, stood=before.stood + tracker.cycle_s if held else 0.0)
     if before.contact:
-        lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
-        return replace(
-            after,
-            contact=not lost,
-            touching=before.touching + tracker.cycle_s,
-            contact_state=contact.NO_CONTACT,
-            beyond_s=0.0 if lost else _beyond(tracker, after, report),
-        )
+        return _while_in_contact(tracker, before, after, report)
     if after.blended is None or Gate.WHEEL_RELEASED in after.passed:
         return after
     # Without a force sensor a retreat that waits for the clamp learns nothing of a touch.
@@ -57,7 +50,7 @@ def update_contact(
     x, y, force = (0.0, 0.0, None) if report.force is None else report.force.tolist()
     speed = _approach_speed(tracker, before, after)
     after, force = _without_jumps(tracker, before, after, force, speed)
-    contact_state = contact.record_force(
+    felt = contact.record_force(
         before.contact_state,
         tracker.vibration,
         force,
@@ -65,40 +58,62 @@ def update_contact(
         held=held,
         samples=after.sampled,
     )
-    contact_state = contact.record_across(
-        contact_state,
-        tracker.across,
-        None if report.force is None else (x, y),
-        after.acceleration[:2],
-        held=held,
-    )
-    if contact_state.forces:
-        near = contact.reach(tracker.task.guard.clearance)
-        contact_state = contact.count_touches(
-            contact_state,
+    across = None if report.force is None else (x, y)
+    felt = contact.record_across(felt, tracker.across, across, after.acceleration[:2], held=held)
+    if felt.forces:
+        felt = contact.count_touches(
+            felt,
             tracker.vibration,
             before.distance,
-            near,
+            contact.reach(tracker.task.guard.clearance),
             is_new=report.force is not None,
             off=_doubted_from(tracker, before, after),
         )
     else:
         # With a force sensor the watch ends TRACK long before: there is none in this cell.
         is_due = before.time >= tracker.search_time and not is_open
-        contact_state = contact.assume_touch(contact_state, before.distance, is_due=is_due)
-    has_contact = contact_state.touches >= contact.TOUCHES
+        felt = contact.assume_touch(felt, before.distance, is_due=is_due)
+    return _decided(tracker, before, after, report, felt, (x, y, force))
+
+
+def _while_in_contact(
+    tracker: Tracker, before: TrackerState, after: TrackerState, report: Report
+) -> TrackerState:
+    """Return the state of a tool in contact; one that is released or holds nothing loses it."""
+    lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
+    return replace(
+        after,
+        contact=not lost,
+        touching=before.touching + tracker.cycle_s,
+        contact_state=contact.NO_CONTACT,
+        beyond_s=0.0 if lost else _beyond(tracker, after, report),
+    )
+
+
+def _decided(
+    tracker: Tracker,
+    before: TrackerState,
+    after: TrackerState,
+    report: Report,
+    felt: contact.ContactState,
+    forces: tuple[float, float, float | None],
+) -> TrackerState:
+    """Return the state with a contact as the touch shows it, or none.
+
+    Args:
+        felt: the touch, this step counted.
+        forces: across the tool's axis and along it, there without jumps of the sensor [N].
+    """
+    x, y, force = forces
+    has_contact = felt.touches >= contact.TOUCHES
     # An estimate that is corrected accelerates the tool across, which gives a force as well.
-    if after.clamped and after.blind_s > BLIND_S and not contact_state.doubtful:
-        has_contact = has_contact or contact.is_held_across(contact_state, tracker.across)
-    assumed = has_contact and not contact_state.forces
+    if after.clamped and after.blind_s > BLIND_S and not felt.doubtful:
+        has_contact = has_contact or contact.is_held_across(felt, tracker.across)
+    assumed = has_contact and not felt.forces
     search, touched, sign = after.search, guard.UNTOUCHED, force_sign.TRUSTED
     if has_contact and force is not None and report.part is not None and after.history is not None:
         reach = _touched_reach(tracker, after, after.history, report.part, force)
-        bolts = tracker.settings.payload.bolts
-        backs = contact.backs_off(contact_state, tracker.vibration, before.distance)
-        backs = backs and bolts > 0.0 and not after.clamped
-        rubs = backs or contact.may_rub(reach, bolts)
-        has_contact = not rubs or _is_face(tracker, contact_state, math.hypot(x, y))
+        has_contact = _is_object(tracker, before, after, felt, reach, math.hypot(x, y))
         if has_contact:
             # A clamp that closes on a tool which was led back from the object pulls at it.
             stands_off = after.clamped and before.distance < -release.HELD_OFF
@@ -109,7 +124,7 @@ def update_contact(
             search = guard.ContactSearch(reach, search.lasted)
     return replace(
         after,
-        contact_state=contact_state,
+        contact_state=felt,
         contact=has_contact,
         assumed=assumed,
         touching=0.0,
@@ -118,6 +133,27 @@ def update_contact(
         search=search,
         force_sign=sign,
     )
+
+
+def _is_object(
+    tracker: Tracker,
+    before: TrackerState,
+    after: TrackerState,
+    felt: contact.ContactState,
+    reach: float,
+    across: float,
+) -> bool:
+    """Return whether a touch is the object's, and no rubbing of the bolts.
+
+    Args:
+        reach: how far beyond its estimate the object was touched [m].
+        across: force across the tool's axis [N].
+    """
+    bolts = tracker.settings.payload.bolts
+    backs = contact.backs_off(felt, tracker.vibration, before.distance)
+    backs = backs and bolts > 0.0 and not after.clamped
+    rubs = backs or contact.may_rub(reach, bolts)
+    return not rubs or _is_face(tracker, felt, across)
 
 
 def _doubted_from(tracker: Tracker, before: TrackerState, after: TrackerState) -> float:
