@@ -1,7 +1,8 @@
 """Reference trajectory x_r along the task's clock, and the clock's gates.
 
 Poses are (6,) or (m, 6) in c. A stretch between two waypoints is a quintic of time, each end moving
-as its frame does. The stretch to contact has a profile with a bounded speed near the object.
+as its frame does. The stretch to contact has a profile with a bounded speed near the object. The
+one that leaves it has a constant speed between two ramps.
 """
 
 import math
@@ -22,6 +23,7 @@ from linemate.daemon.core.tracking.touch.touch_profile import (
     lengthened,
     touch_profile,
 )
+from linemate.daemon.core.tracking.touch.withdrawal import leaving_share
 from linemate.protocol.stamped_samples import Quaternion
 
 STANDING_ACCELERATION = 0.5  # at most, with the object and of its own, of a tool at a stand [m/s^2]
@@ -163,6 +165,11 @@ class Reference:
         if self.profile is not None and i == self.guarded:
             return self.profile.share(times)
         begin, end = self.times[i], self.times[i + 1]
+        if self.gates[i] is Gate.WHEEL_RELEASED:
+            way = float(np.linalg.norm(self.points[i + 1, :3] - self.points[i, :3]))
+            leaving = leaving_share(times - begin, end - begin, way)
+            if leaving is not None and self.travels[i] == self.travels[i + 1]:
+                return leaving
         s = (np.minimum(np.maximum(times, begin), end) - begin) / (end - begin)
         quintic: Array = s * s * s * (10.0 + s * (6.0 * s - 15.0))
         return quintic

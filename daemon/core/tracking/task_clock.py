@@ -17,6 +17,7 @@ from linemate.daemon.core.tracking.touch import guard, release, tare, touch_proo
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
 LARGEST_BEND = 0.008  # of the mount; a tool farther off is not on the object any more [m]
+STANDS = 1e-4  # way of a programme that stands, at most [m, rad]
 CALMING_S = 0.5  # before the wheel is released the contact is watched [s]
 CLAMP_OPEN = 2  # bit of the tool's signals: the wheel is released
 
@@ -88,7 +89,8 @@ def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[fl
         if ramp.planned:
             state = replace(state, time=last_step(state.time, T0))
         stand = standing_time(tracker, state, retreat)
-        return min((round(state.time / T0) + 1) * T0, stand), clock_ramp.RUNNING
+        step = max(round(state.time / T0) + 1, round(_leaving(tracker, state) / T0))
+        return min(step * T0, stand), clock_ramp.RUNNING
     low, high = _bounds(tracker, state)
     rate = clock_ramp.RATES[state.go.order]
     if now <= low and rate < 1:
@@ -102,6 +104,21 @@ def _next_time(tracker: Tracker, state: TrackerState, retreat: bool) -> tuple[fl
     if ramp.rate == 1 and not ramp.planned:
         ramp = clock_ramp.RUNNING
     return min(max(time, low), high) * T0, ramp
+
+
+def _leaving(tracker: Tracker, state: TrackerState) -> float:
+    """Return the time at which a tool with an open clamp leaves [s]; 0 for the programmed one.
+
+    A released object on a soft hanger sinks and swings off the tool by 20 mm in 0.3 s. A programme
+    that stands up to the gate has nothing to wait for.
+    """
+    if Gate.WHEEL_RELEASED not in state.passed or state.time < tracker.task.tool.release_wheel:
+        return 0.0
+    at = barrier(tracker.reference, state.time, state.passed - {Gate.WHEEL_RELEASED})
+    if at == math.inf:
+        return 0.0
+    _, (here, there) = tracker.reference.poses(np.array((state.time, at)))
+    return at if np.allclose(here, there, atol=STANDS) else 0.0
 
 
 def _changed_ramp(tracker: Tracker, ramp: ClockRamp, now: int, rate: int) -> ClockRamp:

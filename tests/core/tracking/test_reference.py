@@ -107,6 +107,22 @@ def test_the_motion_has_no_corner_anywhere() -> None:
     assert np.allclose(along, SPEED, atol=1e-6)
 
 
+def test_a_released_object_is_left_at_once() -> None:
+    begin, end = (TASK.waypoints[i].time for i in (-3, -2))
+    assert TASK.waypoints[-3].gate is Gate.WHEEL_RELEASED
+    _, relative = REFERENCE.poses(begin + np.array((0.0, 0.2, 0.22)))
+    assert relative[0, 2] == 0.0
+    assert relative[2, 2] < -0.01
+    # A stretch that would need more speed than a retraction always has is a quintic.
+    points = [
+        replace(point, time=begin + 0.8 + point.time - end) if point.time >= end else point
+        for point in TASK.waypoints
+    ]
+    quick = compile_reference(replace(TASK, waypoints=tuple(points)))
+    _, relative = quick.poses(begin + np.array((0.08,)))
+    assert relative[0, 2] == pytest.approx(-0.3 * 0.00856)
+
+
 def test_a_tool_whose_clock_stands_comes_to_rest_without_a_corner() -> None:
     fine, at = np.arange(-0.02, 1.0, 0.001), 2.796
     poses, _ = REFERENCE.poses(at + np.minimum(fine, 0.0))

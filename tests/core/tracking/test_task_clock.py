@@ -70,6 +70,17 @@ def test_a_wheel_is_not_released_while_the_object_swings_or_is_pulled_across(
     assert later(state, 0.1, CALM).releasing is not None
 
 
+def test_an_open_clamp_waits_for_no_programmed_time() -> None:
+    leaves = next(at for at, gate in compiled().reference.gated if gate is Gate.WHEEL_RELEASED)
+    closed = on_the_object(-0.1)
+    free = replace(closed, contact=False, passed=FIXED | {Gate.WHEEL_RELEASED})
+    assert later(closed, 0.012, CALM).time < leaves - 0.3
+    assert later(free, 0.012, CALM).time == pytest.approx(leaves, abs=0.012)
+    # A retreat that opened the clamp before the programme's release leaves by its own way.
+    early = replace(free, time=on_the_object(0.5).time)
+    assert later(early, 0.012, CALM).time == pytest.approx(early.time, abs=0.013)
+
+
 @pytest.mark.parametrize("retreat", [True, False])
 def test_the_programmes_own_retreat_does_not_begin_in_a_retraction(*, retreat: bool) -> None:
     tracker = compiled()
