@@ -108,7 +108,7 @@ def advance(
     omega = state.sway_omega if sways and not hangs else guide.sway_omega
     led, missed, felt = _predicted(model, state, guide, omega, dt), guide.missed, guide.felt
     for measurement in measurements:
-        corrected = _corrected(model, led, measurement, is_quick=felt.is_quick, hangs=hangs)
+        corrected = _corrected(model, led, measurement, felt, hangs=hangs)
         if measurement.source is Source.TACTILE:
             off = _deflection(model, corrected, measurement)
             felt = felt_drift.observed(felt, off, before.felt_s + dt)
@@ -216,14 +216,14 @@ def _corrected(
     model: BankModel,
     led: BankState,
     measurement: PositionMeasurement,
+    felt: FeltDrift,
     *,
-    is_quick: bool,
     hangs: bool,
 ) -> BankState:
     """Return (2)-(4) for one measurement; one beyond its gate changes nothing.
 
     Args:
-        is_quick: the deflection swings to and fro quickly.
+        felt: deflection up to now.
         hangs: the sway that leads is assumed, not identified.
     """
     h = model.observation_row(measurement, led)
@@ -241,9 +241,10 @@ def _corrected(
     if measurement.source is Source.TACTILE:
         pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
         x = led.x + pull * K
-        far = nu - min(max(nu, -limit), limit)
-        taken = _brake(x, far, led.sway_omega) if hangs and led.sway_omega else 0.0
-        way = 0.0 if is_quick else far - taken
+        ahead = nu + felt_drift.AHEAD_S * felt.speed
+        far, lost = (each - min(max(each, -limit), limit) for each in (nu, ahead))
+        taken = _brake(x, far, lost, led.sway_omega) if hangs and led.sway_omega else 0.0
+        way = 0.0 if felt.is_quick else far - taken
         x[Y] += way
         x[OFFSET] -= way
     low, high = RIPPLE_FACTORS
@@ -252,7 +253,7 @@ def _corrected(
     return replace(led, x=x, P=led.P - K[:, None].dot(Ph[None]), ripple_factor=factor)
 
 
-def _brake(x: Array, far: float, omega: float) -> float:
+def _brake(x: Array, far: float, ahead: float, omega: float) -> float:
     """Return the part of a way that an assumed sway takes, which is less and slower then.
 
     The object is left behind by it, so it hangs on something stiffer. The sway never gains by it:
@@ -261,11 +262,12 @@ def _brake(x: Array, far: float, omega: float) -> float:
     Args:
         x: states of the guide, changed in place.
         far: way that the deflection is beyond ``FARTHEST_FELT_N`` [m].
+        ahead: the same in ``AHEAD_S``: a slower sway shows in the force only then [m].
         omega: frequency of the sway [rad/s].
     """
     taken = _less(float(x[SWAY]), far)
     x[SWAY] += taken
-    x[SWAY_QUADRATURE] += _less(float(x[SWAY_QUADRATURE]), far / (BRAKE_S * omega))
+    x[SWAY_QUADRATURE] += _less(float(x[SWAY_QUADRATURE]), ahead / (BRAKE_S * omega))
     return taken
 
 
