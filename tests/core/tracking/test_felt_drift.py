@@ -94,3 +94,9 @@ def test_the_mean_of_a_ring_is_a_quarter_of_it_and_that_of_a_lasting_deflection_
     means = [after(ring[:count]).mean for count in range(60, 100)]
     assert max(map(abs, means)) < 0.3 * 0.002
     assert after([0.002] * 40).mean == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize(("mean", "drift"), [(0.0002, 0.0024), (-0.0002, 0.0)])
+def test_a_ring_that_has_come_from_the_other_side_drifts_nowhere(mean: float, drift: float) -> None:
+    felt = FeltDrift(off=0.0005, mean=mean, speed=0.02)
+    assert felt_drift.drift_ahead(felt) == pytest.approx(drift)

@@ -84,6 +84,14 @@ def share_taken(felt: FeltDrift) -> float:
     return min(max(ahead - FARTHEST_AHEAD, 0.0) / BAND, 1.0)
 
 
+def drift_ahead(felt: FeltDrift) -> float:
+    """Return by how much a deflection drifts until a decision shows in the force [m].
+
+    Nothing for one that is not on the side of its mean: the tool rings on its mount.
+    """
+    return AHEAD_S * felt.speed if (felt.off or 0.0) * felt.mean > 0.0 else 0.0
+
+
 def taken(felt: FeltDrift, share: float) -> FeltDrift:
     """Return what is left after the guide has taken up a share."""
     if felt.off is None or not share:

@@ -241,7 +241,7 @@ def _corrected(
     if measurement.source is Source.TACTILE:
         pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
         x = led.x + pull * K
-        ahead = nu + felt_drift.AHEAD_S * felt.speed
+        ahead = nu + felt_drift.drift_ahead(felt)
         far, lost = (each - min(max(each, -limit), limit) for each in (nu, ahead))
         taken = _brake(x, far, lost, led.sway_omega) if hangs and led.sway_omega else 0.0
         way = 0.0 if felt.is_quick else far - taken
