@@ -51,4 +51,4 @@ class LateImports(MetaPathFinder):
         """Name a module that is about to be imported, and leave it to the other finders."""
         if threading.get_ident() == self._thread and len(self.names) < MOST_NAMED:
             self.names.append(fullname)
-            log.warning("%s is imported within a cycle: telegrams may be late", fullname)
+            log.warning("%s is imported while telegrams are answered: some may be late", fullname)
