@@ -11,7 +11,10 @@ import pytest
 
 from linemate.daemon.service.host.late_imports import MOST_NAMED, LateImports
 
-GOLDEN = Path(__file__).parents[1] / "system" / "golden" / "wheel.mcap"
+ROOT = Path(__file__).parents[2]
+GOLDEN = ROOT / "tests" / "system" / "golden" / "wheel.mcap"
+OFFLINE = ROOT / "daemon" / "core" / "control" / "servo_fit.py"
+"""The fit of ``linemate identify``, which no cycle calls."""
 
 REPLAY = """
 import sys
@@ -95,3 +98,14 @@ def test_a_recorded_assembly_imports_nothing_in_a_step() -> None:
     steps, *names = done.stdout.split()
     assert int(steps) > 900
     assert names == []
+
+
+def test_no_cycle_calls_the_median_of_numpy_which_imports_its_masked_arrays() -> None:
+    files = [
+        path
+        for folder in ("daemon/core", "daemon/cycle", "protocol", "drivers")
+        for path in (ROOT / folder).rglob("*.py")
+        if path != OFFLINE
+    ]
+    assert len(files) > 100
+    assert [path for path in files if "np.median(" in path.read_text()] == []
