@@ -51,6 +51,7 @@ class PositionMeasurement(Struct, frozen=True):
             given the object before the touch [m/s].
         ringing: of the force-torque sensor: variance that a ring of the tool as it seats adds to
             what it shows of the class, where the body's sway is not identified [m^2].
+        play: of bolts in their holes, to each side: so far the object is off unfelt [m].
     """
 
     source: Source
@@ -62,6 +63,7 @@ class PositionMeasurement(Struct, frozen=True):
     complied: float = 0.0
     pushed: float = 0.0
     ringing: float = 0.0
+    play: float = 0.0
 
 
 class ConveyorEstimate(Struct, frozen=True):

@@ -88,16 +88,20 @@ def test_a_ring_of_a_body_whose_sway_is_not_identified_hides_what_the_conveyor_d
         assert state.conveyor.is_keen is keen
 
 
-def stopped_in_holes(bolts: float, followed: float, *, depth: float = 0.01) -> tuple[bool, float]:
+def stopped_in_holes(
+    bolts: float, followed: float, *, depth: float = 0.01, play: float = 0.0, slows: float = 0.5
+) -> tuple[bool, float]:
     """Return whether an object hangs as its conveyor stops, and how far it leads off the tool [m].
 
     Args:
         bolts: their length from the face [m].
         followed: share of what the conveyor loses that the object loses as well.
         depth: of the tool before the object [m].
+        play: of the bolts, which lie at the far side of their holes as the conveyor stops [m].
+        slows: deceleration of the conveyor [m/s^2].
     """
     cell = Setup(Scenario())
-    payload = replace(cell.tracking.payload, bolts=bolts)
+    payload = replace(cell.tracking.payload, bolts=bolts, bolt_play=play)
     tracking = replace(cell.tracking, payload=payload)
     tracker = parameters.build(cell.task, cell.urdf, tracking, cell.control, 0.012).tracker
     speed, stiffness = tracker.task.conveyor.nominal_speed, tracking.tactile.stiffness[1]
@@ -106,11 +110,12 @@ def stopped_in_holes(bolts: float, followed: float, *, depth: float = 0.01) -> t
     for k in range(200):
         now_ns, t = k * 12_000_000, 0.012 * k
         late = max(t - 1.5, 0.0)
-        lost = 0.5 * 0.5 * late * late
+        lost = 0.5 * slows * late * late
         pose = np.concatenate((tracker.reference.origin, np.zeros(3)))
         pose[1] += speed * t
         read = DistanceSample(now_ns, begun + speed * t - lost)
-        wrench = WrenchSample(now_ns, (0.0, -followed * stiffness * lost, 0.0), (0.0, 0.0, 0.0))
+        bent = max(followed * lost - 2.0 * play, 0.0)
+        wrench = WrenchSample(now_ns, (0.0, -stiffness * bent, 0.0), (0.0, 0.0, 0.0))
         samples = StepSamples(now_ns, pose, now_ns, (read,), (), (wrench,), 0)
         state, view, _, _ = estimate(tracker, state, samples)
         assert view is None or state.conveyor is not None

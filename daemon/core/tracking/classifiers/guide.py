@@ -408,7 +408,8 @@ def _gone_on(
     """
     felt = [each for each in measurements if each.source is Source.TACTILE]
     lost = float(was.x[Y] + was.x[OFFSET] - led.x[Y] - led.x[OFFSET])
-    if not felt or abs(lost) < LEAST_LOST:
+    # Bolts with play show no more of an object that stops at once until they meet their holes.
+    if not felt or abs(lost) < LEAST_LOST + 2.0 * felt[-1].play:
         return 0.0
     off = _deflection(model, was, felt[-1]) if swung is None else swung
     share = 1.0 + off / lost

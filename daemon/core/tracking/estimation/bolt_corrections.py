@@ -1,6 +1,7 @@
 """Corrections of the object by bolts in their holes, before the tool touches."""
 
 import numpy as np
+from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
@@ -78,7 +79,8 @@ def place_along(
     place = tcp[:3] + rotations.exp(tcp[3:]).dot(bending / np.array(mount.stiffness))
     delay = (samples.stamp_ns - wrench.stamp_ns) * 1e-9
     held = held_bolts.measured(place, tcp, delay, tracker.cycle_s)
-    return along_measurement(tracker, transverse, Source.TACTILE, held, HELD_GATE)
+    shown = along_measurement(tracker, transverse, Source.TACTILE, held, HELD_GATE)
+    return replace(shown, play=tracker.settings.payload.bolt_play)
 
 
 def _bent(
