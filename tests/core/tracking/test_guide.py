@@ -420,10 +420,13 @@ def test_a_deflection_that_a_push_explains_draws_no_guide() -> None:
     assert led_back(0.0, 0.003, impulse=0.003) > 0.005
 
 
-def stopped(sway: float, *, sways: bool) -> tuple[BankState, float]:
+def stopped(sway: float, *, sways: bool, complied: float = 0.0) -> tuple[BankState, float]:
     """The guide as a stop is declared, and where the tool feels the object [m].
 
     The null filter takes the object 3 mm back, and has a sway for the rest.
+
+    Args:
+        complied: offset of the target [m], which the guide takes over.
     """
     before, _ = in_contact(3.0, 0.0)
     led = before.guide
@@ -436,13 +439,15 @@ def stopped(sway: float, *, sways: bool) -> tuple[BankState, float]:
     x[SWAY], x[ACCELERATION] = sway, -0.1
     events = (("stop", "confirmed"),)
     after = structs.replace(before, x=x, motion=Motion.STOPPING, events=events, sway_omega=2.0)
-    row = PositionMeasurement(Source.TACTILE, felt, 0.0, 3e-5**2, 20.0)
+    row = PositionMeasurement(Source.TACTILE, felt, 0.0, 3e-5**2, 20.0, complied=complied)
     return guide.advance(BANK, before, after, [row], DT), felt
 
 
-@pytest.mark.parametrize("sway", [0.0, 0.01])
-def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(sway: float) -> None:
-    state, felt = stopped(sway, sways=False)
+@pytest.mark.parametrize(("sway", "complied"), [(0.0, 0.0), (0.01, 0.0), (0.0, 0.0012)])
+def test_a_stop_in_contact_leaves_the_object_where_the_tool_holds_it(
+    sway: float, complied: float
+) -> None:
+    state, felt = stopped(sway, sways=False, complied=complied)
     assert state.guide is not None
     x = state.guide.x
     assert float(x[Y] + x[SWAY]) == pytest.approx(felt, abs=2e-4)

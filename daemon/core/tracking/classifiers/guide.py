@@ -348,6 +348,8 @@ def _held(
     if not felt:
         return led
     off = _deflection(model, led, felt[-1])
+    if has_changed_class(led.events):
+        off += felt[-1].complied  # the guide takes the target's offset over
     off = min(max(off, -FARTHEST_HELD), FARTHEST_HELD)
     x = led.x.copy()
     x[Y] += off
