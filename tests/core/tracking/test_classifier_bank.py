@@ -331,6 +331,22 @@ def test_what_follows_a_push_too_soon_is_not_taken_for_another(
     assert len([t for t, kind, what in events if (kind, what) == ("push", "confirmed")]) == count
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("size", [0.002, -0.002])
+def test_a_push_too_soon_to_be_accepted_hides_no_stop(size: float, seed: int) -> None:
+    """It explained the force of the stop: 0.26 s until that was confirmed."""
+    w = 2.0 * math.pi * 1.5
+
+    def push(t: float) -> float:
+        late = max(t - 0.2, 0.0)
+        return size * math.exp(-0.15 * w * late) * math.sin(w * late)
+
+    events = in_contact(Truth(1.8, ((0.5, -STOP),), seed=seed), push, 1.0, seed, -0.5)
+    confirmed = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
+    assert len(confirmed) == 1
+    assert 0.5 < confirmed[0] < 0.5 + 0.22
+
+
 # A fine sensor: it sees the ripple, and a stop leaves its gate before anybody has perceived it.
 
 FINE = 5.8e-5

@@ -419,8 +419,8 @@ class BankClassifier(BankModel):
             left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
             speed, deviation = 0.0, math.hypot(STANDING_DEVIATION, left)
             limit = self.bank.start_confirmed
-        elif state.tentative and state.change_odds > self._limit(state):
-            # The bank has it, with an onset or an acceleration that the sensor denies.
+        elif self._has_stop(state):
+            # The bank has it, as one that the sensor denies, or behind a swing of the body.
             speed, deviation, limit = state.cruise, RUNNING_DEVIATION, AGREED_STOP
         else:
             priors = priors[:1]  # a frozen sensor looks like a stop that is fast enough
@@ -444,6 +444,14 @@ class BankClassifier(BankModel):
                 readings, change, nominal, deviation, self.distance_deviation
             )
         return self._accept_by_distance(state, change, state.guide, complied)
+
+    def _has_stop(self, state: BankState) -> bool:
+        """Return whether the bank is certain of a stop, or hides it behind a swing of the body."""
+        limit = self._limit(state)
+        if state.change_odds > limit:
+            return state.tentative
+        is_hidden = state.impulse_odds > self.impulse.confirmed
+        return is_hidden and state.change is not None and state.change.odds > limit
 
     def _accept_by_distance(
         self, state: BankState, declared: DistanceChange, led: Guide, complied: float
