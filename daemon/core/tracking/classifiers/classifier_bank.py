@@ -423,7 +423,8 @@ class BankClassifier(BankModel):
             limit = self.bank.start_confirmed
         elif self._has_stop(state):
             # The bank has it, as one that the sensor denies, or behind a swing of the body.
-            speed, deviation, limit = state.cruise, RUNNING_DEVIATION, AGREED_STOP
+            speed, deviation = state.cruise, RUNNING_DEVIATION
+            limit = self.bank.stop_confirmed
         else:
             priors = priors[:1]  # a frozen sensor looks like a stop that is fast enough
         # Readings of the class before show a change that was decided already.
