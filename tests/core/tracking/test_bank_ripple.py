@@ -79,6 +79,24 @@ def test_a_large_ripple_far_off_its_frequency_is_found_and_is_no_stop() -> None:
     assert late == 0
 
 
+def test_the_readings_that_a_stop_is_sought_in_are_without_the_ripple() -> None:
+    """A chain wheel of eight teeth was taken for a stop of 0.1 m/s^2."""
+    wide = RippleSettings(spread=0.1, deviation=0.0001, walk=0.00002, pace=0.004)
+    bank = BankClassifier(ConveyorClasses(), FusionSettings(), SETTINGS, DEVIATION, ripple=wide)
+    state, rng = bank.initial(0.0), np.random.default_rng(3)
+    speed = state.cruise
+    for t in np.arange(T0, 12.0, T0):
+        at = speed * t + 0.0005 * math.sin(2.0 * math.pi * 1.07 * t)
+        read = round((at + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0)]
+        state = bank.advance(state, rows, T0)
+    off = [
+        float(np.std(ways - np.polyval(np.polyfit(ages, ways, 1), ages)))
+        for ages, ways in (state.readings, bank._readings(state))
+    ]
+    assert off[1] < 1.1 * DEVIATION < off[0]
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_chain_of_a_conveyor_that_starts_is_no_stop(seed: int) -> None:
     """0.3 mm at each pitch of 0.1 m: its frequency rises with the speed."""

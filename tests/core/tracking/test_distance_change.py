@@ -5,11 +5,7 @@ import pytest
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.classifiers.bank_filter import REST_DEVIATION
-from linemate.daemon.core.tracking.classifiers.classifier_bank import (
-    AGREED_STOP,
-    SURE_STOP,
-    BankClassifier,
-)
+from linemate.daemon.core.tracking.classifiers.classifier_bank import SURE_STOP, BankClassifier
 from linemate.daemon.core.tracking.classifiers.distance import distance_change, distance_check
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
 from linemate.daemon.core.tracking.classifiers.distance.distance_check import NO_READINGS
@@ -85,7 +81,7 @@ def test_a_stop_is_certain_after_a_third_of_a_second(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(6))
 def test_a_stop_faster_than_stated_that_the_bank_has_is_certain_after_a_sixth(seed: int) -> None:
     readings = kept(ramp(3.0 * STOP, 0.16, SPEED), seed)
-    declared = stop(readings, AGREED_STOP, as_stated=False)
+    declared = stop(readings, BANK.bank.stop_confirmed, as_stated=False)
     assert declared is not None
     assert declared.values[1] == pytest.approx(SPEED + 3.0 * STOP * 0.16, abs=0.016)
     assert declared.values[2] < 1.3 * STOP

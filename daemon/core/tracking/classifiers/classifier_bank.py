@@ -74,7 +74,7 @@ RUNNING_DEVIATION = 0.003  # of the steady speed of a running conveyor, for the 
 STANDING_DEVIATION = 0.0003  # the same of one that stands [m/s]
 ASKING_S = 0.012  # the distance sensor alone is asked for a change once in this time [s]
 SURE_STOP = 100.0  # log odds of a stop by the sensor alone; a chain's ripple looks like its begin
-AGREED_STOP = 17.0  # the same of a stop that the bank is certain of, or of a change on a ramp
+SURE_ON_RAMP = 17.0  # the same of a change on a ramp, which a push would hide
 LED_DEVIATION = 0.03  # one sigma of the guide's speed, which a stop has slowed already [m/s]
 HELD_DEVIATION = 0.001  # one sigma of where the tool holds an object that gives way [m]
 TAKEN = 0.5  # share of a step of the distance sensor that the position may have taken
@@ -231,7 +231,7 @@ class BankClassifier(BankModel):
         )
         if self._asks_distance(state, limit):
             state = replace(state, distance_odds=self._distance_odds(state))
-        if state.motion in RAMPS and (state.distance_odds or 0.0) > AGREED_STOP:
+        if state.motion in RAMPS and (state.distance_odds or 0.0) > SURE_ON_RAMP:
             # An impulse moves the body, and not its conveyor: it explains the force alone.
             state = replace(state, change_odds=change.odds)
         stronger = self._stronger(state)
