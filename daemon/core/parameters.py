@@ -192,7 +192,7 @@ def _tracker(
         cycle_s=cycle_s,
         steps=controller.steps,
         merge_free=free,
-        merge_clamped=clamped,
+        merge_clamped=replace(clamped, largest_jump=merge.LARGEST_JUMP),
         merge_retreating=retreating,
         corner=merge.rounding(cycle_s, clamped.commit),
         history_length=math.ceil(HISTORY_S / cycle_s),
