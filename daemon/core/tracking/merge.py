@@ -35,7 +35,7 @@ CLAMPED_SHARE = 2.0 / DELAY_PER_TAU
 LARGEST_SWING = 0.006  # of a merge beyond its deviation at nc, and that of SWING_S more [m]
 SWING_S = 0.1  # of the deviation's rise there; a merge that swings farther met a corner [s]
 LARGEST_JUMP = 0.0025  # of a clamped tool that is merged so: it and its servos swing by half [m]
-CALM_S = 0.05  # time constant of the merge in its place [s]
+CALM_S = 0.03  # time constant of the merge in its place [s]
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
 

@@ -1,6 +1,7 @@
 """The merge: what is committed stays, what deviates dies out as an LQ regulator would have it."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -151,6 +152,26 @@ def test_a_tool_without_a_mode_takes_a_goal_along_the_conveyor_up_earlier(cycle_
     )
     # By hand: 3.236 tau of a fifth order less 2 tau of a third order.
     assert plain - quick == pytest.approx(1.236 * settings.along, abs=1.5e-3)
+
+
+@pytest.mark.parametrize("cycle_s", CYCLES)
+@pytest.mark.parametrize(("jump", "most"), [(0.002, 1.15), (0.004, 1.05)])
+def test_a_far_jump_of_a_clamped_tool_is_taken_up_without_swinging(
+    jump: float, most: float, cycle_s: float
+) -> None:
+    """A stop that was confirmed after 0.2 s: 94 N before, and 151 N to the other side."""
+    steps = round(0.5 / cycle_s)
+    plan = merge.compile_merge(
+        merge.without_mode(MergeSettings()), 0.036, cycle_s, steps, later=False
+    )
+    plan = replace(plan, largest_jump=merge.LARGEST_JUMP)
+    poses, goal, calming, way = np.zeros((steps + 1, 6)), np.zeros((steps + 1, 6)), 0, []
+    goal[:, 1] = jump
+    for _ in range(round(0.6 / cycle_s)):
+        poses, calming = merge.merge(poses, goal, plan, calming)
+        way.append(float(poses[0, 1]))
+    assert max(way) < most * jump
+    assert way[-1] == pytest.approx(jump, rel=1e-3)
 
 
 @pytest.mark.parametrize("cycle_s", [0.002, 0.004, 0.008, 0.012])
