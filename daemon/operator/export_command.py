@@ -25,7 +25,13 @@ from linemate.daemon.command_line import (
     make_folder,
 )
 from linemate.daemon.operator import console
-from linemate.daemon.recording.format import LAYOUT, METADATA, STEP, UnreadableRecordingError
+from linemate.daemon.recording.format import (
+    BAD_CONTENT,
+    LAYOUT,
+    METADATA,
+    STEP,
+    UnreadableRecordingError,
+)
 from linemate.daemon.recording.reader import damage_report, layout_of, records
 from linemate.protocol.stamped_samples import AXES
 
@@ -170,7 +176,7 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | No
     from mcap.records import Message, Metadata
 
     from linemate.daemon.recording.bounded_mcap import Damage
-    from linemate.daemon.recording.step_codec import RecordingError, decode
+    from linemate.daemon.recording.step_codec import decode
 
     layout: Mapping[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
@@ -188,7 +194,7 @@ def export(path: Path, folder: Path) -> "tuple[dict[str, int], DamageReport | No
                         _add_json(tables, TABLES[topic], record)
                 elif isinstance(record, Damage):
                     damage = damage_report(record, tables.rows().get("steps.csv", 0))
-        except (RecordingError, ValueError, KeyError) as error:
+        except BAD_CONTENT as error:
             raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
         if layout is None:
             raise UnreadableRecordingError(f"{path}: not a linemate recording")

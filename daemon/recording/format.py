@@ -32,6 +32,10 @@ class UnreadableRecordingError(Exception):
     """A file that is not a recording; the message gives the path and the reason."""
 
 
+# Raised by content that no recorder wrote; the last by JSON that is nested too deep.
+BAD_CONTENT: Final = (ValueError, KeyError, TypeError, AttributeError, RecursionError)
+
+
 class ItemKind(IntEnum):
     """Kind of an item; its payload is in the comment, plain values only."""
 

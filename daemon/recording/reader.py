@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.recording.format import (
+    BAD_CONTENT,
     LAYOUT,
     METADATA,
     PARAMETERS,
@@ -85,7 +86,6 @@ def pieces(path: Path) -> Iterator["Piece"]:
     from mcap.records import Message, Metadata
 
     from linemate.daemon.recording.bounded_mcap import Damage
-    from linemate.daemon.recording.step_codec import RecordingError
 
     layout: dict[str, tuple[str, ...]] | None = None
     topics: dict[int, str] = {}
@@ -106,7 +106,7 @@ def pieces(path: Path) -> Iterator["Piece"]:
                     yield damage_report(record, steps)
     except OSError as error:
         raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
-    except (RecordingError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except BAD_CONTENT as error:
         raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
     if layout is None:
         raise UnreadableRecordingError(f"{path}: not a linemate recording")

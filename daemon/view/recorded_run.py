@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from linemate.daemon.recording import reader
 from linemate.daemon.recording.format import (
+    BAD_CONTENT,
     LOG,
     METADATA,
     PARAMETERS,
@@ -204,7 +205,6 @@ def read_run(path: Path, on_progress: Callable[[float], None] = lambda _: None) 
     from mcap.records import Message, Metadata
 
     from linemate.daemon.recording.bounded_mcap import Damage
-    from linemate.daemon.recording.step_codec import RecordingError
 
     reading: _Reading | None = None
     layout: dict[str, tuple[str, ...]] = {}
@@ -230,7 +230,7 @@ def read_run(path: Path, on_progress: Callable[[float], None] = lambda _: None) 
                         break
     except OSError as error:
         raise UnreadableRecordingError(f"{path}: {error.strerror}") from error
-    except (RecordingError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except BAD_CONTENT as error:
         raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
     if reading is None:
         raise UnreadableRecordingError(f"{path}: not a linemate recording")
@@ -260,7 +260,7 @@ class _Reading:
         """Add a message of any topic.
 
         Raises:
-            RecordingError, ValueError, KeyError, TypeError: It does not fit its topic.
+            BAD_CONTENT: It does not fit its topic.
         """
         from linemate.daemon.recording.step_codec import decode
 

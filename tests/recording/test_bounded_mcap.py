@@ -23,6 +23,7 @@ from cell import TASK
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, Header, Message, Metadata
 
+from linemate.daemon.operator import main as tool
 from linemate.daemon.recording import bounded_mcap
 from linemate.daemon.recording.bounded_mcap import MAGIC, MIB, Damage, records
 from linemate.daemon.recording.step_items import metadata_of
@@ -151,6 +152,36 @@ def test_a_bomb_is_refused_within_256_mib_and_5_s(
     # Processor time: what a busy machine adds is not the file's doing.
     assert ended.cpu_s < CPU_S
     assert 10.0 < ended.memory_mib < MEMORY_MIB
+
+
+DEEP = "[" * 200_000
+WAYS: tuple[tuple[str, ...], ...] = (
+    ("replay",),
+    ("export", "--out", "csv"),
+    ("export", "--foxglove", "channels.mcap"),
+    ("identify", "--out", "identified.yaml"),
+    ("view", "--no-browser"),
+)
+
+
+@pytest.mark.parametrize("way", WAYS, ids=" ".join)
+@pytest.mark.parametrize("content", [DEEP, "7"], ids=["deep", "number"])
+@pytest.mark.parametrize("place", ["layout", "/linemate/parameters", "/linemate/timing"])
+def test_json_that_no_recorder_wrote_is_refused_without_a_trace(
+    way: tuple[str, ...], content: str, place: str, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """A command that does not read the place finds a recording without an end."""
+    texts = metadata_of({"config": "task: wheel.yaml\n", "task": TASK.text, "urdf": TASK.urdf})
+    data = MAGIC + built(
+        Header("", "linemate"),
+        Metadata("linemate", {**texts, **({"layout": content} if place == "layout" else {})}),
+        Channel(id=7, topic=place, message_encoding="json", metadata={}, schema_id=0),
+        Message(7, 0, content.encode(), 0, 0),
+    )
+    monkeypatch.chdir(tmp_path)
+    Path("harm.mcap").write_bytes(data)
+    assert tool.main([way[0], "harm.mcap", *way[1:]]) == 1
 
 
 def read(data: bytes, skipped: list[str] | None = None) -> list[Any]:

@@ -17,6 +17,7 @@ from mcap.writer import CompressionType, Writer
 from linemate.daemon.recording import reader
 from linemate.daemon.recording.bounded_mcap import Damage
 from linemate.daemon.recording.format import (
+    BAD_CONTENT,
     LOG,
     METADATA,
     SHOWN_OUTPUTS,
@@ -24,7 +25,7 @@ from linemate.daemon.recording.format import (
     TIMING,
     UnreadableRecordingError,
 )
-from linemate.daemon.recording.step_codec import RecordingError, decode
+from linemate.daemon.recording.step_codec import decode
 from linemate.daemon.recording.viewer_messages import INFO, root_link
 from linemate.daemon.view.cell import read_cell
 from linemate.daemon.view.channels.channel_messages import (
@@ -69,7 +70,7 @@ def export_channels(path: Path, out: Path) -> "tuple[dict[str, int], DamageRepor
                 elif isinstance(record, Damage):
                     steps = 0 if conversion is None else conversion.steps
                     damage = reader.damage_report(record, steps)
-        except (RecordingError, ValueError, KeyError, TypeError) as error:
+        except BAD_CONTENT as error:
             out.unlink()
             raise UnreadableRecordingError(f"{path}: not a linemate recording: {error}") from error
         if conversion is None:
@@ -98,7 +99,7 @@ class _Conversion:
         """Yield the standard messages of a recorded one.
 
         Raises:
-            RecordingError, ValueError, KeyError, TypeError: it does not fit its topic.
+            BAD_CONTENT: it does not fit its topic.
         """
         offset_ns = message.log_time - message.publish_time
         if topic == STEP:
