@@ -39,7 +39,7 @@ def read_keys(path: Path) -> tuple[PresharedKey, ...]:
         UnreadableError: missing, another user's, readable by others, or malformed: every line.
     """
     try:
-        with path.open(encoding="utf-8") as file:
+        with open(path, encoding="utf-8", opener=_open) as file:
             status = os.fstat(file.fileno())
             unsafe = unsafe_file(status.st_mode, status.st_uid, os.geteuid())
             if unsafe is not None:
@@ -49,3 +49,8 @@ def read_keys(path: Path) -> tuple[PresharedKey, ...]:
         raise UnreadableError(f"{path}: {error}") from error
     except CommandError as error:
         raise UnreadableError(error.detail) from error
+
+
+def _open(name: str, flags: int) -> int:
+    """Open a file; a fifo would block until another process writes to it."""
+    return os.open(name, flags | os.O_NONBLOCK)

@@ -33,6 +33,11 @@ def test_the_daemons_key_file_must_be_its_own(tmp_path: Path) -> None:
         read_keys(path)
     with pytest.raises(UnreadableError, match="missing"):
         read_keys(tmp_path / "missing")
+    os.mkfifo(tmp_path / "fifo", 0o600)
+    with pytest.raises(UnreadableError, match="not a regular file"):
+        read_keys(tmp_path / "fifo")
+    with pytest.raises(UnreadableError):
+        read_keys(tmp_path)
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can give a file away")
