@@ -180,6 +180,11 @@ SLIPS: dict[str, Slip] = {
     "dead time in ms": config(
         [{"frequency_hz": 4.0, "damping": 0.8, "dead_time": 36.0}] * 7, "control", "servos"
     ),
+    "servos in 1/rad": config(
+        [{"frequency_hz": 0.64, "damping": 0.8, "dead_time": 0.036}] * 7, "control", "servos"
+    ),
+    "tool's modes in 1/rad": config([{"frequency_hz": 0.8}] * 6, "control", "effector"),
+    "log odds of a stop signed otherwise": config(-100.0, "tracking", "bank", "stop_confirmed"),
     "stiffness in N/mm": config([50.0, 50.0, 50.0], "tracking", "tactile", "stiffness"),
     "swing's lever in mm": config(
         [{"axis": 1, "frequency_hz": 0.62, "levers": [-300.0, 0.0, -900.0]}], "tracking", "swing"

@@ -33,7 +33,8 @@ class ServoModel:
             it.
     """
 
-    frequency_hz: Annotated[float, Ge(0.1), Le(100.0)]
+    # The inverse of a slower servo multiplies errors until the tool swings faster than 0.6 m/s.
+    frequency_hz: Annotated[float, Ge(1.5), Le(100.0)]
     damping: Annotated[float, Gt(0.05), Lt(3.0)]
     dead_time: Annotated[float, Ge(0.0), Le(0.3)]
 
@@ -139,7 +140,7 @@ class EffectorMode:
         damping: damping ratio, share of critical.
     """
 
-    frequency_hz: Annotated[float, Ge(0.1), Le(200.0)]
+    frequency_hz: Annotated[float, Ge(2.0), Le(200.0)]  # a slower one was commanded to 0.9 m/s
     damping: Annotated[float, Ge(0.0), Lt(1.0)] = 0.02
 
 
