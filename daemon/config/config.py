@@ -34,6 +34,7 @@ from linemate.daemon.core.control import urdf_limits
 from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.core.tracking.touch.tare import GRAVITY, LARGEST_SAG
 from linemate.protocol.command.preshared_keys import PresharedKey
+from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import LARGEST_FORCES
 
 LARGEST_SENSOR_REACH = 0.5  # from the flange to a sensor that is farther than the tcp [m]
@@ -144,7 +145,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
-    unbearable = [*mount_complaints(config, config.tracking)]
+    unbearable = [*mount_complaints(config, config.tracking), *_fine(config, named.dbc)]
     if unbearable:
         raise FileError(document.lines(unbearable))
     _refuse_far_sensor(config, task)
@@ -254,6 +255,21 @@ def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Compla
             f"can state, {largest:.0f} N: no overload would be seen. Set a smaller one."
         )
         yield Complaint(("tracking", "tactile", "overload_force"), what)
+
+
+def _fine(config: Config, dbc: str | None) -> Iterator[Complaint]:
+    """Yield a deviation of the distance that is less than its count alone makes."""
+    distance, deviation = config.distance, config.tracking.distance.deviation
+    if distance is None or dbc is None:
+        return
+    step = DistanceDecoder(dbc, distance.message, distance.signal, step=distance.step_m).step_m
+    least = step / math.sqrt(12.0)  # of a reading that is rounded to counts
+    if deviation < least:
+        what = (
+            f"{1e3 * deviation:g} mm is less than counts of {1e3 * step:g} mm have, "
+            f"{1e3 * least:.2g} mm. Set what `linemate identify` measures, or that."
+        )
+        yield Complaint(("tracking", "distance", "deviation"), what)
 
 
 def _refuse_far_sensor(config: Config, task: Task) -> None:

@@ -195,6 +195,7 @@ class DistanceDecoder:
     Attributes:
         extended: the identifier has 29 bits.
         period_s: cycle time by the DBC's GenMsgCycleTime [s], None without.
+        step_m: size of one count, the given one or that of the DBC [m].
 
     Raises:
         DistanceError: the DBC cannot be read or lacks a name.
@@ -212,6 +213,7 @@ class DistanceDecoder:
     ) -> None:
         self._layout = layout = _layout(dbc, message, signal, strength, can_id, step)
         self._position = layout.position
+        self.step_m = abs(layout.position.factor * layout.position.unit)
         self._decode = layout.message.decode
         self.can_id = layout.can_id
         self.extended = layout.extended

@@ -120,7 +120,7 @@ command: {socket: command.sock, udp: {port: 0, keys: keys}}
 recording: {directory: .}
 realtime: {priority: 60, cpus: [1], lock_memory: true, timer_slack_ns: 1}
 watch: {healthy_cycles: 50}
-tracking: {classifier: rule, distance: {deviation: 1e-3}, tactile: {overload_force: 300.0}}
+tracking: {classifier: rule, distance: {deviation: 3e-3}, tactile: {overload_force: 300.0}}
 control: {horizon_s: 0.25}
 """
         )
@@ -130,7 +130,7 @@ control: {horizon_s: 0.25}
     assert station.config.distance.can["ttyBaudrate"] == 115200
     assert station.dbc is not None
     assert [key.name for key in station.keys] == ["panel"]
-    assert station.config.tracking.distance.deviation == 1e-3
+    assert station.config.tracking.distance.deviation == 3e-3
     assert station.config.tracking.distance.gate == TrackingSettings().distance.gate
 
 

@@ -198,6 +198,9 @@ SLIPS: dict[str, Slip] = {
     "near in mm": config(30.0, "watch", "near_m"),
     "following error in mm": config(10.0, "watch", "follow_tolerance"),
     "distance sensor in mm": config(0.1, "distance", "step_m"),
+    "counts of 10 mm as of 0.1 mm": config(
+        {"can": {"interface": "virtual"}, "message": "TF03", "signal": "Distance"}, "distance"
+    ),
     "two links on one port": config(49152, "camera", "port"),
     "urdf's limit in degrees": urdf('lower="-3.2288591161895095"', 'lower="-185"'),
     "urdf's speed in degrees": urdf('velocity="1.8325957145940461"', 'velocity="105"'),
