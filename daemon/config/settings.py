@@ -363,6 +363,8 @@ class Config:
             robot stands. None keeps the models.
         learn_touches: correct ``tracking.camera.felt`` and ``felt_turn`` by where good assemblies
             felt the object.
+        learn_distance: correct ``tracking.distance.delay`` and ``scale`` by how the tool moved on
+            with the object in good assemblies.
         learn_part_mass: correct ``tracking.payload.part_mass`` by what the tool weighs less after
             good assemblies.
         production: parts one after the other, by their variants. None: each task is armed and
@@ -388,6 +390,7 @@ class Config:
     control: ControlSettings = field(default_factory=ControlSettings)
     learning: AdaptationSettings | None = None
     learn_touches: bool = False
+    learn_distance: bool = False
     learn_part_mass: bool = False
     production: ProductionSettings | None = None
     version: Annotated[int, Ge(1), Le(1)] = 1

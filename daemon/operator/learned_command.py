@@ -8,8 +8,14 @@ from linemate.daemon.command_line import OK
 from linemate.daemon.operator import console
 from linemate.daemon.operator.render import scalar, table, versioned
 
-LEARNED: Final = ("tracking.camera.felt", "tracking.payload.part_mass", "control.servos.")
-"""Beginnings of the names of what is learned: camera, part's mass, and servo models."""
+LEARNED: Final = (
+    "tracking.camera.felt",
+    "tracking.distance.delay",
+    "tracking.distance.scale",
+    "tracking.payload.part_mass",
+    "control.servos.",
+)
+"""Beginnings of the names of what is learned: camera, distance, part's mass, and servo models."""
 
 
 def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:

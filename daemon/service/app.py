@@ -28,7 +28,8 @@ from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import part_mass, servos, touches
+from linemate.daemon.cycle.learning import distances, part_mass, servos, touches
+from linemate.daemon.cycle.learning.distances import DistanceLearner
 from linemate.daemon.cycle.learning.part_mass import PartLearner
 from linemate.daemon.cycle.learning.servos import Learner
 from linemate.daemon.cycle.learning.touches import TouchLearner
@@ -131,6 +132,7 @@ class App:
         self._recorder = build_recorder(station)
         self._learner = build_learner(station, parameters.cycle_s)
         self._touches = TouchLearner() if config.learn_touches else None
+        self._distances = DistanceLearner() if config.learn_distance else None
         self._parts = PartLearner() if config.learn_part_mass else None
         self._live = LiveTelemetry(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
@@ -444,6 +446,8 @@ class App:
         self._live.record(entries, times)
         if self._learner is not None:
             self._learn(self._learner, entries)
+        if self._distances is not None:
+            self._learn_distance(self._distances, entries)
         if self._touches is not None:
             self._learn_touch(self._touches, entries)
         if self._parts is not None:
@@ -496,6 +500,16 @@ class App:
             return
         values = learner.keep(self._parameters.settings.tracking.camera)
         self._keep_learned(values, touches.WHO, "what the touch has shown")
+
+    def _learn_distance(self, learner: DistanceLearner, entries: Sequence[LogEntry]) -> None:
+        """Correct the distance sensor's delay and scale, once the robot stands."""
+        learner.record_motion(entries)
+        if learner.shown is None or not self.cycle.stands:
+            return
+        values = learner.keep(self._parameters.settings.tracking.distance)
+        self._keep_learned(values, distances.WHO, "what the object's motion has shown")
+        if learner.spoils_touch and self._touches is not None:
+            self._touches.touch = None
 
     def _learn_part(self, learner: PartLearner, entries: Sequence[LogEntry]) -> None:
         """Set the part's mass by the release of a good assembly, once the robot stands."""

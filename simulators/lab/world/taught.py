@@ -8,7 +8,9 @@ Invariants:
 
 from dataclasses import replace
 
+from linemate.daemon.cycle.learning.distances import DELAY, SCALE, DistanceLearner
 from linemate.daemon.cycle.learning.touches import FELT, FELT_TURN, TouchLearner
+from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.setup import Setup
 
@@ -22,21 +24,28 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
     Args:
         seed: of the judged run, whose cell it is unless the scenario states its own.
     """
-    learner = TouchLearner()
+    learner, distances = TouchLearner(), DistanceLearner()
+
+    def record(entry: LogEntry) -> None:
+        learner.record_touch((entry,))
+        distances.record_motion((entry,))
+
     own = setup.scenario.cell_seed
     cell_seed = seed if own is None else own
     cell = replace(setup, scenario=replace(setup.scenario, cell_seed=cell_seed))
     for car in range(cars):
         known = replace(cell, tracking=setup.tracking)
-        lockstep.run(
-            known,
-            FIRST_SEED + MOST_CARS * seed + car,
-            on_step=lambda entry: learner.record_touch((entry,)),
-        )
-        camera = setup.tracking.camera
-        values = learner.keep(camera)
-        x, y = values.get(FELT, camera.felt)
-        a, b = values.get(FELT_TURN, camera.felt_turn)
+        lockstep.run(known, FIRST_SEED + MOST_CARS * seed + car, on_step=record)
+        camera, distance = setup.tracking.camera, setup.tracking.distance
+        values = distances.keep(distance)
+        delay, scale = values.get(DELAY, distance.delay), values.get(SCALE, distance.scale)
+        distance = replace(distance, delay=delay, scale=scale)
+        if distances.spoils_touch:
+            learner.touch = None  # it was off by the distance, not by the camera
+        touched = learner.keep(camera)
+        x, y = touched.get(FELT, camera.felt)
+        a, b = touched.get(FELT_TURN, camera.felt_turn)
         camera = replace(camera, felt=(x, y), felt_turn=(a, b))
-        setup = replace(setup, tracking=replace(setup.tracking, camera=camera))
+        tracking = replace(setup.tracking, camera=camera, distance=distance)
+        setup = replace(setup, tracking=tracking)
     return setup

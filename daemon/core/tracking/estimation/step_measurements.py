@@ -87,7 +87,8 @@ def distance_measurement(
         count: readings whose mean the sample is.
     """
     noise = tracker.settings.distance
-    value = sample.position - tracker.task.conveyor.start_position + tracker.reference.origin[1]
+    way = noise.scale * (sample.position - tracker.task.conveyor.start_position)
+    value = way + tracker.reference.origin[1]
     delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
     variance = noise.deviation**2 / count
     return PositionMeasurement(Source.DISTANCE, float(value), delay, variance, noise.gate)
