@@ -406,6 +406,7 @@ def _first(text: str) -> float:
 TABLES: dict[str, Callable[[], str]] = {
     "world-sizes": world_results.sizes,
     "world": lambda: world_results.rows(load, is_stored),
+    "world-identified": lambda: world_results.identified(load, is_stored),
     "plant-floor": lambda: world_results.floor(load, is_stored),
     "mujoco": lambda: world_results.second(load),
     "shift": lambda: shift_results.table(load, is_stored),

@@ -16,6 +16,16 @@ MEASURED = "plant-floor-measured"
 MUJOCO = "mujoco"
 SCENARIOS = f"{FLOOR},{HARSH}"
 
+IDENTIFIED = {
+    "world-windup": ("windup-1mrad,windup-10mrad", "--identified 2 --seeds 0..9"),
+    "world-learnt": (
+        "hand-eye-2mm,distance-slip-1pct,distance-late-20ms,conveyor-sag,camera-correlated,"
+        "six-moderate,six-harsher",
+        "--identified 2 --learnt 3 --seeds 0..3",
+    ),
+}
+"""Rows, and how they were measured, of cells that were identified before their runs."""
+
 COMMANDS = {
     "world-before": "linemate-sim world --seeds 0..1 --json",
     "world": "linemate-sim world --seeds 0..1 --json",
@@ -23,6 +33,10 @@ COMMANDS = {
     "plant-floor-verified": f"linemate-sim world --rows {SCENARIOS} --seeds 1000..1099 --json",
     MEASURED: f"linemate-sim world --rows {MEASURED} --seeds 0..39 --json",
     "plant-floor-4ms": f"linemate-sim world --rows {FLOOR} --seeds 0..39 --cycle-ms 4 --json",
+    **{
+        name: f"linemate-sim world --rows {listed} {how} --json"
+        for name, (listed, how) in IDENTIFIED.items()
+    },
     MUJOCO: f"linemate-sim world --world mujoco --rows {MUJOCO} --seeds 0..39 --json",
 }
 
@@ -112,6 +126,10 @@ BARS: tuple[tuple[str, str, str], ...] = (
 )
 
 
+WINDUP_BARS, LEARNT_BARS = ("0.5", "0.4"), ("", "0.49")
+"""What is asked of the medians of control and impact [mm]; 0.49 is twice that of `nominal`."""
+
+
 def condensed(raw: Result) -> Result:
     """Return each row's summary, and each run that was not assembled."""
     return {
@@ -169,6 +187,36 @@ def rows(load: Load, has: Has) -> str:
     stored = [name for name in ("world-before", "world") if has(name)]
     links = ", ".join(f"[{name}](results/{name}.json)" for name in stored)
     return "\n".join([*lines, "", f"Results: {links}."])
+
+
+def identified(load: Load, has: Has) -> str:
+    """Return the table of rows whose cells were identified, and learned from some cars."""
+    lines = [
+        "| row | seeds | runs | impact without, mm | control, mm | impact, mm | asked of control"
+        " | asked of impact | force, N | false confirmed |",
+        "|---" * 10 + "|",
+    ]
+    without = load("world") if has("world") else {}
+    for result, (listed, how) in IDENTIFIED.items():
+        rows_of = load(result) if has(result) else {}
+        for name in (name for name in listed.split(",") if name in rows_of):
+            summary = rows_of[name]["summary"]
+            plain = without.get(name, {}).get("summary", {}).get("impact_mm")
+            control, impact = LEARNT_BARS if "--learnt" in how else WINDUP_BARS
+            cells = (
+                f"[{name}](results/{result}.json)",
+                summary["seeds"],
+                outcomes(summary),
+                _spread(plain),
+                _spread(summary["control_mm"]),
+                _spread(summary["impact_mm"]),
+                control,
+                impact,
+                _spread(summary["force_n"]),
+                str(summary["false_confirmed"]),
+            )
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def _cells(row: Mapping[str, Any] | None, keys: tuple[str, ...]) -> Iterator[str]:

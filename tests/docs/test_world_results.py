@@ -64,3 +64,16 @@ def test_every_size_of_the_page_is_read_from_both_scenarios() -> None:
     lines = world_results.sizes().splitlines()[2:]
     assert len(lines) == len(world_results.SIZES)
     assert any(line.startswith("| range bias | 2 mm/m | 3 mm/m |") for line in lines)
+
+
+def test_an_identified_row_is_shown_against_its_bars() -> None:
+    stored = {
+        "world": world_results.condensed(raw("hand-eye-2mm")),
+        "world-learnt": world_results.condensed(raw("hand-eye-2mm")),
+    }
+    table = world_results.identified(stored.__getitem__, stored.__contains__)
+    line = (
+        "| [hand-eye-2mm](results/world-learnt.json) | 0..1 | 1 assembled, 1 held | 0.3 (0.3)"
+        " | 0.2 (0.2) | 0.3 (0.3) | | 0.49 | 55 (55) | 0 |"
+    )
+    assert table.splitlines()[2:] == [line.replace("| |", "|  |")]
