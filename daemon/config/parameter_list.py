@@ -55,6 +55,7 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.camera": _LIVE,
     "tracking.camera.lasting": _IDLE,  # the filter has states for it, or none
     "tracking.camera.felt": _NOT_IN_CONTACT,
+    "tracking.camera.felt_depth": _NOT_IN_CONTACT,
     "tracking.camera.felt_turn": _NOT_IN_CONTACT,
     "tracking.fusion": _LIVE,
     "tracking.fusion.ripple_time": _IDLE,

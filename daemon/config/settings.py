@@ -361,8 +361,8 @@ class Config:
             good: the next start leaves it out. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
             robot stands. None keeps the models.
-        learn_touches: correct ``tracking.camera.felt`` and ``felt_turn`` by where good assemblies
-            felt the object.
+        learn_touches: correct ``tracking.camera.felt``, ``felt_depth`` and ``felt_turn`` by where
+            good assemblies felt the object.
         learn_distance: correct ``tracking.distance.delay`` and ``scale`` by how the tool moved on
             with the object in good assemblies.
         learn_part_mass: correct ``tracking.payload.part_mass`` by what the tool weighs less after

@@ -115,7 +115,8 @@ def _camera_in_tcp(task: TaskFile, tracking: TrackingSettings) -> tuple[Array, A
 
     It is turned about the tcp: an object that the tool touches is only turned by that.
     """
-    mount, felt = task.arm.camera_in_tcp, np.array((*tracking.camera.felt, 0.0))
+    mount, noise = task.arm.camera_in_tcp, tracking.camera
+    felt = np.array((*noise.felt, noise.felt_depth))
     turn = rotations.exp(np.array((*tracking.camera.felt_turn, 0.0)))
     return turn @ np.array(mount.position) + felt, turn @ rotations.matrix(mount.quaternion)
 

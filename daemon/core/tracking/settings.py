@@ -80,6 +80,7 @@ class CameraNoise:
             last waypoint before contact is moved out to 20 mm before it: there the tool waits.
         felt: along x and y of the tcp, where the object is felt beyond where the camera shows it
             [m]: an error of the hand-eye calibration that earlier touches have shown.
+        felt_depth: the same along z of the tcp [m].
         felt_turn: about x and y of the tcp, by how much it is felt turned from what the camera
             shows [rad]: the same error's turn.
     """
@@ -98,6 +99,7 @@ class CameraNoise:
     bias: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
     blind_below: Annotated[float, Ge(0.0), Le(0.5)] = 0.06
     felt: tuple[Correction, Correction] = (0.0, 0.0)
+    felt_depth: Correction = 0.0
     felt_turn: tuple[Turn, Turn] = (0.0, 0.0)
 
 

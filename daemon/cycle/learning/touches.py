@@ -4,8 +4,9 @@ A hand-eye calibration has an error that no sensor sees before the touch. A clam
 the object, and the camera's place of it is known from just before, and from before bolts in their
 holes have moved the estimate. Their difference across the tool's axis, and about the axes across
 it, is what the next assembly is corrected by (``tracking.camera.felt``,
-``tracking.camera.felt_turn``). The depth changes from car to car, and bolts are drawn into their
-angle: neither shows the camera's mount.
+``tracking.camera.felt_turn``). Along the tool's axis the first force shows it
+(``tracking.camera.felt_depth``): later the press moves an object that gives way. Bolts are drawn
+into their angle, which shows nothing of the camera's mount.
 
 Invariants:
 - A touch counts if its assembly was good: screws fixed, then the wheel released, no retreat.
@@ -16,7 +17,7 @@ Invariants:
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,18 +35,21 @@ WHO = "touches"
 """Operator that the log names for a learned change."""
 
 FELT, FELT_TURN = "tracking.camera.felt", "tracking.camera.felt_turn"
+FELT_DEPTH = "tracking.camera.felt_depth"
 LARGEST_M, LARGEST_RAD = 0.002, 0.006  # of a touch from where the object was expected
 KNOWN = 4  # touches that a value counts for which was learned before the start
 LEAST_GAIN = 0.1  # share of a touch that is taken: a mount may move
 NOISE_SHARE = 0.5  # variance of a touch (0.35 mm) over that of a calibrated mount (0.5 mm)
 REACH_M, REACH_RAD = 0.003, 0.01  # largest corrections, those of the settings
 WORTH = 1e-5  # a smaller change is not made: each is recorded [m, rad]
+DEPTH_S = 0.03  # after which a clamp is closed; the press soon moves an object that gives way [s]
 PLACE_S = 0.2  # after which a tool that rang has settled, and a heavy object has hardly moved [s]
 SEATED_S = 1.0  # after which the estimate has taken the turn of a clamped tool [s]
 
 UNHELD = (0.0, 0.0)
 
 Pair = tuple[float, float]
+Place = tuple[float, float, float]
 
 
 class FeltError(NamedTuple):
@@ -54,10 +58,12 @@ class FeltError(NamedTuple):
     Attributes:
         across: along x and y of the tcp [m].
         turn: about x and y of the tcp [rad].
+        depth: along z of the tcp [m].
     """
 
     across: Pair
     turn: Pair
+    depth: float = 0.0
 
 
 class TouchLearner:
@@ -69,6 +75,7 @@ class TouchLearner:
 
     def __init__(self) -> None:
         self.touch: FeltError | None = None
+        self._depth: float | None = None
         self._across: Pair | None = None
         self._expected: TrackerState | None = None
         self._drawn = 0.0
@@ -98,19 +105,24 @@ class TouchLearner:
         elif after.held != before.held:
             self._drawn += moved_along(before, after)
         if after.compliance.press is not None and before.compliance.press is None:
-            self._expected, self._across, self._felt, self._is_over = before, None, None, False
-        if self._expected is None or after.touching < PLACE_S:
+            self._expected, self._felt, self._is_over = before, None, False
+            self._across = self._depth = None
+        if self._expected is None or after.touching < DEPTH_S:
             return
-        if self._across is None:
-            self._across = felt_across(self._expected, after, self._drawn)
+        if self._depth is None or self._across is None:
+            place = felt_place(self._expected, after, self._drawn)
+            if place is None:
+                return
+            self._depth = place[2] if self._depth is None else self._depth
+            self._across = place[:2] if after.touching >= PLACE_S else None
         if after.touching < SEATED_S:
             return
         turn = felt_turn(self._expected, after)
         if self._across is not None and turn is not None:
-            self._felt = FeltError(self._across, turn)
+            self._felt = FeltError(self._across, turn, self._depth or 0.0)
         self._expected = None
 
-    def keep(self, present: CameraNoise) -> dict[str, list[float]]:
+    def keep(self, present: CameraNoise) -> dict[str, Any]:
         """Return the parameters that the last touch changes, by name.
 
         Args:
@@ -119,10 +131,10 @@ class TouchLearner:
         touch, self.touch = self.touch, None
         if touch is None or is_far(touch):
             return {}
-        is_known = any((*present.felt, *present.felt_turn))
+        is_known = any((*present.felt, *present.felt_turn, present.felt_depth))
         self._count = (self._count or KNOWN) + 1 if is_known else 1
         gain = max(1.0 / (self._count + NOISE_SHARE), LEAST_GAIN)
-        changed = {}
+        changed: dict[str, Any] = {}
         for name, known, off, reach in (
             (FELT, present.felt, touch.across, REACH_M),
             (FELT_TURN, present.felt_turn, touch.turn, REACH_RAD),
@@ -130,6 +142,9 @@ class TouchLearner:
             later = [min(max(p + gain * t, -reach), reach) for p, t in zip(known, off, strict=True)]
             if math.dist(later, known) >= WORTH:
                 changed[name] = [round(value, 6) for value in later]
+        depth = min(max(present.felt_depth + gain * touch.depth, -REACH_M), REACH_M)
+        if abs(touch.depth) <= LARGEST_M and abs(depth - present.felt_depth) >= WORTH:
+            changed[FELT_DEPTH] = round(depth, 6)
         return changed
 
 
@@ -148,8 +163,8 @@ def moved_along(before: TrackerState, after: TrackerState) -> float:
     return 0.0
 
 
-def felt_across(before: TrackerState, after: TrackerState, drawn: float = 0.0) -> Pair | None:
-    """Return how far the object is felt from where it was estimated, across the tool's axis [m].
+def felt_place(before: TrackerState, after: TrackerState, drawn: float = 0.0) -> Place | None:
+    """Return how far the object is felt from where it was estimated, along x y z of the tcp [m].
 
     Args:
         before: state of the last step without a force that measures the object.
@@ -165,7 +180,7 @@ def felt_across(before: TrackerState, after: TrackerState, drawn: float = 0.0) -
     x += float(later.x[0] - earlier.x[0]) + before.held[0]
     y += moved_along(before, after) + drawn
     z += float(later.x[1] - earlier.x[1]) + before.held[1]
-    return _across_tool(after.history, np.array((x, y, z)))
+    return _in_tool(after.history, np.array((x, y, z)))
 
 
 def felt_turn(expected: TrackerState, seated: TrackerState) -> Pair | None:
@@ -178,10 +193,10 @@ def felt_turn(expected: TrackerState, seated: TrackerState) -> Pair | None:
     if expected.transverse is None or seated.transverse is None or seated.history is None:
         return None
     turned = rotations.log(seated.transverse.rotation @ expected.transverse.rotation.T)
-    return _across_tool(seated.history, turned)
+    return _in_tool(seated.history, turned)[:2]
 
 
-def _across_tool(history: History, vector: Array) -> Pair:
-    """Return x and y in the tcp of a vector (3,) in c."""
-    x, y, _ = rotations.exp(history.poses[-1][3:]).T.dot(vector).tolist()
-    return x, y
+def _in_tool(history: History, vector: Array) -> Place:
+    """Return in the tcp a vector (3,) in c."""
+    x, y, z = rotations.exp(history.poses[-1][3:]).T.dot(vector).tolist()
+    return x, y, z

@@ -9,7 +9,7 @@ Invariants:
 from dataclasses import replace
 
 from linemate.daemon.cycle.learning.distances import DELAY, SCALE, DistanceLearner
-from linemate.daemon.cycle.learning.touches import FELT, FELT_TURN, TouchLearner
+from linemate.daemon.cycle.learning.touches import FELT, FELT_DEPTH, FELT_TURN, TouchLearner
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.setup import Setup
@@ -45,7 +45,8 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
         touched = learner.keep(camera)
         x, y = touched.get(FELT, camera.felt)
         a, b = touched.get(FELT_TURN, camera.felt_turn)
-        camera = replace(camera, felt=(x, y), felt_turn=(a, b))
+        depth = touched.get(FELT_DEPTH, camera.felt_depth)
+        camera = replace(camera, felt=(x, y), felt_turn=(a, b), felt_depth=depth)
         tracking = replace(setup.tracking, camera=camera, distance=distance)
         setup = replace(setup, tracking=tracking)
     return setup

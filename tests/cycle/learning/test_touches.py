@@ -12,6 +12,7 @@ from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.tracker_state import TrackerState
 from linemate.daemon.cycle.learning.touches import (
     FELT,
+    FELT_DEPTH,
     FELT_TURN,
     LARGEST_M,
     LARGEST_RAD,
@@ -49,6 +50,39 @@ def test_a_wheel_shows_where_the_camera_is() -> None:
     assert touch is not None
     assert touch.across == pytest.approx(MOUNT, abs=0.1e-3)
     assert touch.turn == pytest.approx((0.0, 0.0), abs=0.3e-3)
+
+
+@cache
+def deeper(mass: float | None = None) -> tuple[LogEntry, ...]:
+    """Return the steps of a wheel whose camera shows the object 1 mm too near to the tool."""
+    changes = ["scenario.camera.effects.mount_offset=[0.0, 0.0, 0.001]"]
+    if mass is not None:
+        way = '"frequency_hz": 1.0, "damping": 0.02, "drive": 0.0'
+        across = f'{{{way}, "mass": {mass}, "direction": [0.0, 0.0, 1.0]}}'
+        changes.append(f"scenario.body.carrier=[{across}]")
+    entries: list[LogEntry] = []
+    lockstep.run(setup.make("wheel", changes), 0, on_step=entries.append)
+    return tuple(entries)
+
+
+@pytest.mark.parametrize(("mass", "moved"), [(None, 0.15e-3), (500.0, 0.4e-3)])
+def test_a_wheel_shows_how_deep_the_object_is_before_the_press_moves_it(
+    mass: float | None, moved: float
+) -> None:
+    touch = touch_of(deeper(mass))
+    assert touch is not None
+    assert touch.depth == pytest.approx(1e-3, abs=moved)
+
+
+def test_the_depth_is_learned_as_the_rest_and_a_far_one_is_not() -> None:
+    learner, present = TouchLearner(), CameraNoise()
+    for depth in (1e-3, 1.1 * LARGEST_M):
+        learner.touch = FeltError((1e-3, 0.0), (0.0, 0.0), depth)
+        changed = learner.keep(present)
+        assert (FELT_DEPTH in changed) == (depth < LARGEST_M)
+        assert changed[FELT][0] > 0.3e-3
+    learner.touch = FeltError((0.0, 0.0), (0.0, 0.0), 1e-3)
+    assert learner.keep(CameraNoise(felt_depth=REACH_M - 1e-5))[FELT_DEPTH] == REACH_M
 
 
 def test_what_bolts_in_their_holes_have_shown_before_the_touch_is_a_part_of_it() -> None:
@@ -151,12 +185,12 @@ def test_a_far_touch_and_a_large_correction_are_refused() -> None:
 
 def test_the_correction_moves_the_object_that_the_camera_shows() -> None:
     plain = setup.make("wheel")
-    corrected = setup.make("wheel", [f"{FELT}=[0.001, -0.002]"])
+    corrected = setup.make("wheel", [f"{FELT}=[0.001, -0.002]", f"{FELT_DEPTH}=0.0005"])
     built = lockstep.parameters_of(plain, 0.012)
     again = parameters.retuned(built, corrected.tracking)
     for made in (lockstep.parameters_of(corrected, 0.012), again):
         moved = made.tracker.camera[0] - built.tracker.camera[0]
-        assert moved == pytest.approx((0.001, -0.002, 0.0))
+        assert moved == pytest.approx((0.001, -0.002, 0.0005))
 
 
 def test_a_turned_camera_turns_the_object_where_the_tool_touches_it() -> None:
