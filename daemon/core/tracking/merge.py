@@ -34,7 +34,7 @@ DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop 
 CLAMPED_SHARE = 2.0 / DELAY_PER_TAU
 LARGEST_SWING = 0.006  # of a merge beyond its deviation at nc, and that of SWING_S more [m]
 SWING_S = 0.1  # of the deviation's rise there; a merge that swings farther met a corner [s]
-LARGEST_JUMP = 0.0025  # of a clamped tool that is merged so: it and its servos swing by half [m]
+LARGEST_JUMP = 0.002  # of a clamped tool that is merged so: it and its servos swing by half [m]
 CALM_S = 0.03  # time constant of the merge in its place [s]
 CORNER_S = 0.00566  # one sigma of the rounding of corners [s]: 1.4 steps of 4 ms, half of 12 ms
 
@@ -51,7 +51,7 @@ class MergePlan:
         calm: (n - nc, 2), the deviation that begins with 1 at nc, and the one that begins with a
             rise of 1 a step, both critically damped.
         swing_steps: ``SWING_S`` in steps of one cycle each.
-        largest_jump: deviation at nc beyond which the merge is the calm one [m].
+        largest_jump: deviation from nc on beyond which the merge is the calm one [m].
     """
 
     commit: int
@@ -278,9 +278,10 @@ def merge(old: Array, goal: Array, plan: MergePlan, calming: int = 0) -> tuple[A
     late = matrices @ np.ascontiguousarray(history.T)[:, :, None]
     late = late[:, :, 0].T
     swings = np.abs(late[:, :3])
-    now = merged[commit] - goal[commit]
-    is_far = float(np.maximum.reduce(np.abs(now[:3]))) > plan.largest_jump
-    if calming or is_far or float(np.maximum.reduce(swings, axis=None)) > LARGEST_SWING:  # seldom
+    farthest = float(np.maximum.reduce(swings, axis=None))
+    is_far = farthest > plan.largest_jump
+    if calming or is_far or farthest > LARGEST_SWING:  # seldom
+        now = merged[commit] - goal[commit]
         rise = (now - (merged[commit - stride] - goal[commit - stride])) / stride
         known = np.abs(now[:3]) + plan.swing_steps * np.abs(rise[:3])
         if is_far or (swings.max(axis=0) > known + LARGEST_SWING).any():
