@@ -52,7 +52,7 @@ def test_a_missing_urdf_is_reported_with_the_other_errors(tmp_path: Path) -> Non
     assert "arm.urdf: no such file" in caught.value.lines[0]
     assert "shipped are arm.urdf" in caught.value.lines[0]
     assert (
-        "conveyor.nominal_speed: should be greater than or equal to 0.001" in caught.value.lines[1]
+        "conveyor.nominal_speed: should be greater than or equal to 0.005" in caught.value.lines[1]
     )
 
 

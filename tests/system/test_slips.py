@@ -128,6 +128,7 @@ CAMERA = ("arm", "camera_in_tcp")
 A2 = '<axis xyz="0 1 0"/>\n    <limit lower="-2.44'
 SLIPS: dict[str, Slip] = {
     "conveyor in mm/s": task(106.0, "conveyor", "nominal_speed"),
+    "conveyor divided by 60": times(1.0 / 60.0, "conveyor", "nominal_speed"),
     "conveyor backwards": task(-0.106, "conveyor", "nominal_speed"),
     "deceleration in mm/s^2": task(104.0, "conveyor", "deceleration"),
     "deceleration signed": task(-0.104, "conveyor", "deceleration"),

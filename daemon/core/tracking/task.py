@@ -111,7 +111,7 @@ class ConveyorClasses:
     """
 
     axis: Vector3 = (0.0, 1.0, 0.0)
-    nominal_speed: Annotated[float, Ge(0.001), Le(0.5)] = 0.106
+    nominal_speed: Annotated[float, Ge(0.005), Le(0.5)] = 0.106
     deceleration: Annotated[float, Ge(0.001), Le(2.0)] = 0.104
     acceleration: Annotated[float, Ge(0.0005), Le(2.0)] = 0.013
     start_position: Annotated[float, Ge(-100.0), Le(100.0)] = 0.0
