@@ -37,6 +37,7 @@ from linemate.protocol.command.preshared_keys import PresharedKey
 from linemate.protocol.sensors.distance import DistanceDecoder
 from linemate.protocol.sensors.wrench import LARGEST_FORCES
 
+LEAST_RADIUS = 0.05  # of the mount's springs about the tool's axis [m]
 LARGEST_SENSOR_REACH = 0.5  # from the flange to a sensor that is farther than the tcp [m]
 
 
@@ -241,6 +242,14 @@ def mount_complaints(config: Config, tracking: TrackingSettings) -> Iterator[Com
             f"{overload:g} N: the tool needs the other half to react. Set a smaller one."
         )
         yield Complaint(("tracking", "tactile", "contact_force"), what)
+    radius = math.sqrt(min(tactile.rotational_stiffness) / stiffness)
+    if radius < LEAST_RADIUS:
+        what = (
+            f"{min(tactile.rotational_stiffness):g} Nm/rad at {stiffness:g} N/m are springs "
+            f"{1e3 * radius:.0f} mm from the axis, at least {1e3 * LEAST_RADIUS:g} mm. Check the "
+            "unit: it is not Nm per degree."
+        )
+        yield Complaint(("tracking", "tactile", "rotational_stiffness"), what)
     if config.force_torque is not None:
         yield from _unseen_overload(config.force_torque.device, tracking)
 

@@ -186,6 +186,9 @@ SLIPS: dict[str, Slip] = {
     ),
     "tool's modes in 1/rad": config([{"frequency_hz": 0.8}] * 6, "control", "effector"),
     "log odds of a stop signed otherwise": config(-100.0, "tracking", "bank", "stop_confirmed"),
+    "turning stiffness in Nm per degree": config(
+        [35.0, 35.0, 35.0], "tracking", "tactile", "rotational_stiffness"
+    ),
     "stiffness in N/mm": config([50.0, 50.0, 50.0], "tracking", "tactile", "stiffness"),
     "swing's lever in mm": config(
         [{"axis": 1, "frequency_hz": 0.62, "levers": [-300.0, 0.0, -900.0]}], "tracking", "swing"
