@@ -14,13 +14,12 @@ import os
 import signal
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.key_file import key_path, read_keys
-from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle import states, watch
@@ -28,17 +27,10 @@ from linemate.daemon.cycle.clock.phase_lock import Due, DueKind, PhaseLock
 from linemate.daemon.cycle.clock.timer import CycleTimer
 from linemate.daemon.cycle.clock.timing import Timing
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import distances, part_mass, servos, touches
-from linemate.daemon.cycle.learning.distances import DistanceLearner
-from linemate.daemon.cycle.learning.part_mass import PartLearner
-from linemate.daemon.cycle.learning.servos import Learner
-from linemate.daemon.cycle.learning.touches import TouchLearner
 from linemate.daemon.cycle.states import State
-from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import viewer_messages
 from linemate.daemon.service.assembly import (
     build_command_port,
-    build_learner,
     build_link,
     build_production,
     build_recorder,
@@ -54,6 +46,7 @@ from linemate.daemon.service.host.late_imports import LateImports
 from linemate.daemon.service.host.notify import Notifier
 from linemate.daemon.service.idle_rest import LOOK_NS, IdleRest
 from linemate.daemon.service.incidents import IncidentFiles
+from linemate.daemon.service.learning.learners import Learners
 from linemate.daemon.service.live_telemetry import LiveTelemetry
 from linemate.daemon.service.order_answers import Answers
 from linemate.daemon.service.parameter_service import Answer, ParameterService
@@ -130,10 +123,6 @@ class App:
         self._rates = Rates()
         self._commands = build_command_port(station, self._handle, self._telemetry)
         self._recorder = build_recorder(station)
-        self._learner = build_learner(station, parameters.cycle_s)
-        self._touches = TouchLearner() if config.learn_touches else None
-        self._distances = DistanceLearner() if config.learn_distance else None
-        self._parts = PartLearner() if config.learn_part_mass else None
         self._live = LiveTelemetry(round(parameters.cycle_s * 1e3, 6))
         self._scene = viewer_messages.scene(station.texts, parameters.cycle_s)
         period_ns = round(parameters.cycle_s * 1e9)
@@ -160,6 +149,14 @@ class App:
         self._production: ProductionCell | None = None
         self._parameters = ParameterService(
             station, self.cycle, self._note_parameters, self._events.add
+        )
+        self._learners = Learners(
+            station,
+            self.cycle,
+            parameters.cycle_s,
+            lambda: self._parameters.settings,
+            self._parameters.set,
+            self._events.add,
         )
         self._production = build_production(
             station,
@@ -444,14 +441,7 @@ class App:
         if self._recorder is not None:
             self._recorder.record(entries, times)
         self._live.record(entries, times)
-        if self._learner is not None:
-            self._learn(self._learner, entries)
-        if self._distances is not None:
-            self._learn_distance(self._distances, entries)
-        if self._touches is not None:
-            self._learn_touch(self._touches, entries)
-        if self._parts is not None:
-            self._learn_part(self._parts, entries)
+        self._learners.learn(entries)
         if self._production is not None:
             self._production.advance(entries, now_ns)
         self._rest.update(now_ns)
@@ -469,61 +459,6 @@ class App:
                 self._notifier.send(f"STATUS={self._line()}")
         moving = bool(entries) and entries[-1].inputs.order is not MotionOrder.HOLD
         self._collector.collect_if_due(is_moving=moving)
-
-    def _learn(self, learner: Learner, entries: Sequence[LogEntry]) -> None:
-        """Collect a motion. Once the robot stands, estimate the servo models from it."""
-        learner.record_motion(entries)
-        if not (learner.ripe and self.cycle.stands):
-            return
-        work = asyncio.get_running_loop().run_in_executor(
-            None, learner.estimate_servos, learner.motion()
-        )
-
-        def done(finished: asyncio.Future[ServoEstimates]) -> None:
-            if finished.cancelled():
-                return
-            error = finished.exception()
-            if error is not None:
-                log.error("servo models are not estimated: %s", error)
-                return
-            values = learner.keep(finished.result(), self._parameters.settings.control.servos)
-            answer = self._parameters.set(values, servos.WHO) if values else {}
-            if isinstance(answer, dict) and "refused" in answer:
-                self._events.add(f"the estimated servo models are not used: {answer['refused']}")
-
-        work.add_done_callback(done)
-
-    def _learn_touch(self, learner: TouchLearner, entries: Sequence[LogEntry]) -> None:
-        """Correct the camera by the touch of a good assembly, once the robot stands."""
-        learner.record_touch(entries)
-        if learner.touch is None or not self.cycle.stands:
-            return
-        values = learner.keep(self._parameters.settings.tracking.camera)
-        self._keep_learned(values, touches.WHO, "what the touch has shown")
-
-    def _learn_distance(self, learner: DistanceLearner, entries: Sequence[LogEntry]) -> None:
-        """Correct the distance sensor's delay and scale, once the robot stands."""
-        learner.record_motion(entries)
-        if learner.shown is None or not self.cycle.stands:
-            return
-        values = learner.keep(self._parameters.settings.tracking.distance)
-        self._keep_learned(values, distances.WHO, "what the object's motion has shown")
-        if learner.spoils_touch and self._touches is not None:
-            self._touches.touch = None
-
-    def _learn_part(self, learner: PartLearner, entries: Sequence[LogEntry]) -> None:
-        """Set the part's mass by the release of a good assembly, once the robot stands."""
-        learner.record_weight(entries)
-        if learner.mass is None or not self.cycle.stands:
-            return
-        values = learner.keep(self._parameters.settings.tracking.payload)
-        self._keep_learned(values, part_mass.WHO, "what the part weighs")
-
-    def _keep_learned(self, values: Mapping[str, Any], who: str, what: str) -> None:
-        """Set what was learned; an event says why it is not used."""
-        answer = self._parameters.set(values, who) if values else {}
-        if isinstance(answer, dict) and "refused" in answer:
-            self._events.add(f"{what} is not used: {answer['refused']}")
 
     def _serve_operators(self, now_ns: int) -> None:
         """Handle operators' messages, and open a window until the next step is due."""

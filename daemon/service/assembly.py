@@ -12,7 +12,6 @@ from linemate.daemon.config.section_checks import group_ids
 from linemate.daemon.config.settings import ControllerKind, Corrections
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning.servos import Learner
 from linemate.daemon.recording.recorder import MIB, Recorder, Rotation
 from linemate.daemon.service.command_server import CommandPort, Handler, Snapshot
 from linemate.daemon.service.endpoints import LocalEndpoint, UdpEndpoint
@@ -155,15 +154,6 @@ def incident_directory(station: LoadedConfig) -> Path | None:
     """Return the directory of incident files, None without one."""
     name = station.config.realtime.incidents
     return None if name is None else station.path.parent / name
-
-
-def build_learner(station: LoadedConfig, cycle_s: float) -> Learner | None:
-    """Return the estimator of servo models, None if it is not configured."""
-    settings = station.config.learning
-    if settings is None:
-        return None
-    axes = 7 if station.task.file.arm.linear_axis else 6
-    return Learner(settings, station.written.control.servos[:axes], cycle_s)
 
 
 def build_recorder(station: LoadedConfig) -> Recorder | None:

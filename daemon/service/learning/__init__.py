@@ -1,0 +1,1 @@
+"""What good assemblies teach, and how it becomes parameters."""
