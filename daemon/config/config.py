@@ -235,6 +235,14 @@ def mount_complaints(config: Config, tracking: TrackingSettings) -> Iterator[Com
                 f"{1e3 * LARGEST_SAG:g} mm at most. Check it, and tracking.tactile.stiffness."
             )
             yield Complaint(("tracking", section, name), what)
+    lever = math.hypot(*payload.centre)
+    turn = payload.mass * GRAVITY * lever / max(tactile.rotational_stiffness)
+    if turn > LARGEST_SAG:
+        what = (
+            f"{payload.mass:g} kg turn the mount by {1e3 * turn:.0f} mrad {lever:g} m from the "
+            f"tcp, {1e3 * LARGEST_SAG:g} mrad at most. Check the unit."
+        )
+        yield Complaint(("tracking", "payload", "centre"), what)
     # The touch speed leaves half the overload to what follows until the tool reacts to a touch.
     if tactile.contact_force > 0.5 * overload:
         what = (

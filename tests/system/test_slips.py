@@ -147,6 +147,7 @@ SLIPS: dict[str, Slip] = {
     "rest signed otherwise": times(-1.0, "arm", "rest_joints"),
     "tool in mm": times(1000.0, "arm", "tcp_in_flange", "position"),
     "tool on the other side": times(-1.0, "arm", "tcp_in_flange", "position"),
+    "camera in cm": times(10.0, "arm", "camera_in_tcp", "position"),
     "camera in mm": times(1000.0, "arm", "camera_in_tcp", "position"),
     "camera on the other side": times(-1.0, "arm", "camera_in_tcp", "position"),
     "camera 10 m away": task([-0.1, 0.0, -10.0], *CAMERA, "position"),
@@ -186,6 +187,9 @@ SLIPS: dict[str, Slip] = {
     ),
     "tool's modes in 1/rad": config([{"frequency_hz": 0.8}] * 6, "control", "effector"),
     "log odds of a stop signed otherwise": config(-100.0, "tracking", "bank", "stop_confirmed"),
+    "centre of the payload in cm": config(
+        {"mass": 15.0, "centre": [0.0, 0.0, 10.0]}, "tracking", "payload"
+    ),
     "turning stiffness in Nm per degree": config(
         [35.0, 35.0, 35.0], "tracking", "tactile", "rotational_stiffness"
     ),

@@ -14,7 +14,7 @@ from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Gate
 
-FARTHEST_MOUNT = 2.0  # of a camera that rides on the arm, from the tcp [m]
+FARTHEST_MOUNT = 1.2  # of a camera that rides on the arm, from the tcp [m]
 
 
 def unseen(parameters: Parameters) -> Iterator[Complaint]:
