@@ -55,6 +55,9 @@ def complaints(
         file: the controller's own, None if there is none or it cannot be read.
         task: None if it cannot be read.
     """
+    for other in (ControllerKind.EGM, ControllerKind.FANUC):
+        if values.has(other) and not values.has("controller"):
+            yield Complaint((other,), f"not used: controller.kind is {kind}. Set kind: {other}.")
     if file is not None:
         yield from rsi_section.complaints(values, file, task)
     if kind is ControllerKind.EGM and task is not None:

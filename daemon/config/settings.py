@@ -125,7 +125,7 @@ class FanucSettings:
     """
 
     peer: Text | None = None
-    peer_port: Port = 60015
+    peer_port: Annotated[int, Ge(1), Le(65535)] = 60015
     bind: Text = "127.0.0.1"
     port: Port = 0
     version: Literal[3, 4] = 3

@@ -70,3 +70,16 @@ def test_time_outs_are_compared_with_the_period_of_this_family(lines_of: Lines) 
     assert lines_of(f"{GOOD}\nwatch: {{missed_s: 0.009}}") == []
     (line,) = lines_of(f"{GOOD}\nwatch: {{missed_s: 0.007}}")
     assert "shorter than a cycle of 0.008 s" in line
+
+
+def test_a_section_of_another_family_than_the_default_needs_the_kind(tmp_path: Path) -> None:
+    path = tmp_path / "linemated.yaml"
+    path.write_text("task: wheel.yaml\negm: {port: 0}\n")
+    with pytest.raises(FileError, match=r"egm: not used: controller\.kind is rsi") as caught:
+        config.load(path)
+    assert len(caught.value.lines) == 1
+
+
+def test_a_controller_listens_on_a_port(lines_of: Lines) -> None:
+    (line,) = lines_of(GOOD.replace("rail", "peer_port: 0, rail"))
+    assert "fanuc.peer_port: should be greater than or equal to 1" in line
