@@ -52,6 +52,8 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking": _IDLE,
     "tracking.distance.deviation": _LIVE,
     "tracking.distance.gate": _LIVE,
+    "tracking.distance.late": _NOT_IN_CONTACT,
+    "tracking.distance.scale": _NOT_IN_CONTACT,
     "tracking.camera": _LIVE,
     "tracking.camera.lasting": _IDLE,  # the filter has states for it, or none
     "tracking.camera.felt": _NOT_IN_CONTACT,

@@ -363,7 +363,7 @@ class Config:
             robot stands. None keeps the models.
         learn_touches: correct ``tracking.camera.felt``, ``felt_depth`` and ``felt_turn`` by where
             good assemblies felt the object.
-        learn_distance: correct ``tracking.distance.delay`` and ``scale`` by how the tool moved on
+        learn_distance: correct ``tracking.distance.late`` and ``scale`` by how the tool moved on
             with the object in good assemblies.
         learn_part_mass: correct ``tracking.payload.part_mass`` by what the tool weighs less after
             good assemblies.

@@ -10,7 +10,7 @@ from linemate.daemon.operator.render import scalar, table, versioned
 
 LEARNED: Final = (
     "tracking.camera.felt",
-    "tracking.distance.delay",
+    "tracking.distance.late",
     "tracking.distance.scale",
     "tracking.payload.part_mass",
     "control.servos.",

@@ -204,6 +204,8 @@ def test_what_is_learned_is_shown_and_taken_back(
     daemon: Daemon, capsys: Out, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name, turn = "tracking.camera.felt", "tracking.camera.felt_turn"
+    late = "tracking.distance.late"
+    daemon.values[late] = daemon.defaults[late] = 0.0
     for learned in (name, turn):
         daemon.values[learned] = daemon.defaults[learned] = [0.0, 0.0]
     listed = daemon.described
@@ -216,9 +218,10 @@ def test_what_is_learned_is_shown_and_taken_back(
     assert main(["learned", "show"]) == 0
     assert capsys.readouterr().out == "nothing is learned\n"
     daemon.values[name], daemon.values[turn] = [0.0004, 0.0], [0.0, 0.0006]
+    daemon.values[late] = 0.006
     assert main(["learned", "show"]) == 0
     shown = [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]]
-    assert shown == [name, turn]
+    assert shown == [name, turn, late]
     assert main(["learned", "reset"]) == 0
     assert daemon.values == {**daemon.defaults, "approach.speed": 0.15}
     capsys.readouterr()

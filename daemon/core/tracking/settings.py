@@ -45,13 +45,15 @@ class DistanceNoise:
     Attributes:
         deviation: one sigma, quantisation included [m].
         delay: from measuring to arrival [s].
-        scale: way of the object for each metre that the sensor reads: its wheel slips, or has
-            another size.
+        late: what it is later than ``delay``, as assemblies have shown [s].
+        scale: way of the object for each metre that it reads, as assemblies have shown: its wheel
+            slips, or has another size.
         gate: reject an innovation beyond this many sigma.
     """
 
     deviation: Length = 0.00038
     delay: Annotated[float, Ge(0.0), Le(0.1)] = 0.001
+    late: Annotated[float, Ge(-0.03), Le(0.03)] = 0.0
     scale: Annotated[float, Ge(0.97), Le(1.03)] = 1.0
     gate: Sigmas = 4.0
 

@@ -33,10 +33,10 @@ from linemate.daemon.cycle.step_log import LogEntry
 WHO = "distances"
 """Operator that the log names for a learned change."""
 
-DELAY, SCALE = "tracking.distance.delay", "tracking.distance.scale"
+LATE, SCALE = "tracking.distance.late", "tracking.distance.scale"
 LATE_S, SLIP = 0.01, 0.003  # one sigma of both before an assembly: 5 to 20 ms, 0.1 to 1 %
 LARGEST_S, LARGEST_SLIP = 0.03, 0.02  # of an assembly: more shows a fault
-LATEST_S, LEAST_SCALE, LARGEST_SCALE = 0.1, 0.97, 1.03  # those of the settings
+LATEST_S, LEAST_SCALE, LARGEST_SCALE = 0.03, 0.97, 1.03  # those of the settings
 FADING = 0.9  # of what the assemblies before have shown: a wheel wears
 SEATED_S = 1.0  # after which the tool has settled at the object [s]
 BLOCK_S = 1.0  # errors of so long are correlated: a block's sum has their variance [s]
@@ -99,7 +99,8 @@ class DistanceLearner:
             return
         bent = rotations.exp(tcp[3:])[1] @ (wrench.force / np.array(settings.tactile.stiffness))
         for sample, count in mean_distances(entry.inputs.distance):
-            since_s = (sample.stamp_ns - wrench.stamp_ns) * 1e-9 - settings.distance.delay
+            since_s = (sample.stamp_ns - wrench.stamp_ns) * 1e-9
+            since_s -= settings.distance.delay + settings.distance.late
             reading, place = settings.distance.scale * sample.position, float(tcp[1] + bent)
             place += state.speed * since_s
             self._first = self._first or (sample.stamp_ns, reading, place)
@@ -122,9 +123,9 @@ class DistanceLearner:
         shown, self.shown, self.moved = self.shown, None, 0.0
         if shown is None:
             return {}
-        if (present.delay, present.scale) != self._kept:
+        if (present.late, present.scale) != self._kept:
             self._known, self._rest = _before(), np.zeros(2)
-            self._kept = present.delay, present.scale
+            self._kept = present.late, present.scale
         known = FADING * self._known + shown[0]
         off = np.linalg.solve(known, FADING * (self._known @ self._rest) + shown[1])
         late, slip = off.tolist()
@@ -133,11 +134,11 @@ class DistanceLearner:
         self._known, self._rest = known, off
         if self._speed * max(abs(late), LEAD_S * abs(slip)) < WORTH_M:
             return {}
-        delay = round(min(max(present.delay + late, 0.0), LATEST_S), 6)
+        whole = round(min(max(present.late + late, -present.delay), LATEST_S), 6)
         scale = round(min(max(present.scale * (1.0 - slip), LEAST_SCALE), LARGEST_SCALE), 6)
-        self._rest, self._kept = np.zeros(2), (delay, scale)
+        self._rest, self._kept = np.zeros(2), (whole, scale)
         self.moved = self._speed * abs(late - LEAD_S * slip)
-        return {DELAY: delay, SCALE: scale}
+        return {LATE: whole, SCALE: scale}
 
 
 def _before() -> Array:

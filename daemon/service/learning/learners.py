@@ -57,6 +57,7 @@ class Learners:
         if self._servos is not None:
             self._learn_servos(self._servos, entries)
         if self._distances is not None:
+            # Before the touches: one that a wrong distance has moved shows no camera.
             self._learn_distance(self._distances, entries)
         if self._touches is not None:
             self._learn_touch(self._touches, entries)

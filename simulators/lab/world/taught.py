@@ -8,7 +8,7 @@ Invariants:
 
 from dataclasses import replace
 
-from linemate.daemon.cycle.learning.distances import DELAY, SCALE, DistanceLearner
+from linemate.daemon.cycle.learning.distances import LATE, SCALE, DistanceLearner
 from linemate.daemon.cycle.learning.touches import FELT, FELT_DEPTH, FELT_TURN, TouchLearner
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep
@@ -38,8 +38,8 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
         lockstep.run(known, FIRST_SEED + MOST_CARS * seed + car, on_step=record)
         camera, distance = setup.tracking.camera, setup.tracking.distance
         values = distances.keep(distance)
-        delay, scale = values.get(DELAY, distance.delay), values.get(SCALE, distance.scale)
-        distance = replace(distance, delay=delay, scale=scale)
+        late, scale = values.get(LATE, distance.late), values.get(SCALE, distance.scale)
+        distance = replace(distance, late=late, scale=scale)
         if distances.spoils_touch:
             learner.touch = None  # it was off by the distance, not by the camera
         touched = learner.keep(camera)

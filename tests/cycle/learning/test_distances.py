@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from linemate.daemon.config import parameter_list
+from linemate.daemon.config.parameter_list import ChangeTime
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.estimation.step_measurements import distance_measurement
 from linemate.daemon.core.tracking.settings import DistanceNoise
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.cycle.learning.distances import (
-    DELAY,
     LARGEST_S,
     LARGEST_SCALE,
     LARGEST_SLIP,
+    LATE,
     LATEST_S,
     SCALE,
     DistanceLearner,
@@ -56,7 +58,7 @@ def test_a_wheel_shows_how_late_the_sensor_is_and_how_its_wheel_slips(
     learner = DistanceLearner()
     learner.record_motion(wheel(change))
     changed = learner.keep(STATED)
-    assert changed[DELAY] == pytest.approx(STATED.delay + late, abs=0.005)
+    assert changed[LATE] == pytest.approx(late, abs=0.005)
     assert changed[SCALE] == pytest.approx(1.0 - slip, abs=0.002)
     assert learner.spoils_touch
 
@@ -65,7 +67,7 @@ def test_a_sensor_as_stated_is_left_as_it_is() -> None:
     learner = DistanceLearner()
     learner.record_motion(wheel())
     changed = learner.keep(STATED)
-    assert changed.get(DELAY, STATED.delay) == pytest.approx(STATED.delay, abs=0.005)
+    assert changed.get(LATE, 0.0) == pytest.approx(0.0, abs=0.005)
     assert changed.get(SCALE, 1.0) == pytest.approx(1.0, abs=0.002)
     assert not learner.spoils_touch
 
@@ -102,39 +104,48 @@ def kept(
     learner: DistanceLearner, true: DistanceNoise, present: DistanceNoise, noise: float = 0.0
 ) -> DistanceNoise:
     """Return the settings after an assembly with a sensor of given truth."""
-    off = np.array((true.delay - present.delay, 1.0 - true.scale / present.scale))
+    off = np.array((true.late - present.late, 1.0 - true.scale / present.scale))
     learner.shown = KNOWN, KNOWN @ (off + noise * np.array((0.002, 0.001)))
     learner._speed = 0.1
     changed = learner.keep(present)
     return DistanceNoise(
-        delay=changed.get(DELAY, present.delay), scale=changed.get(SCALE, present.scale)
+        late=changed.get(LATE, present.late), scale=changed.get(SCALE, present.scale)
     )
 
 
 def test_the_mean_of_the_assemblies_is_reached_and_held() -> None:
-    learner, true, present = DistanceLearner(), DistanceNoise(delay=0.015, scale=1.008), STATED
+    learner, true, present = DistanceLearner(), DistanceNoise(late=0.015, scale=1.008), STATED
     for noise in (1.0, -1.0) * 15:
         present = kept(learner, true, present, noise)
-    assert present.delay == pytest.approx(true.delay, abs=0.0003)
+    assert present.late == pytest.approx(true.late, abs=0.0003)
     assert present.scale == pytest.approx(true.scale, abs=0.0002)
 
 
 def test_values_that_were_taken_back_are_learned_as_at_first() -> None:
-    learner, true = DistanceLearner(), DistanceNoise(delay=0.015, scale=1.008)
+    learner, true = DistanceLearner(), DistanceNoise(late=0.015, scale=1.008)
     first = kept(learner, true, STATED)
     kept(learner, true, first)
     assert kept(learner, true, STATED) == first
 
 
 def test_a_large_error_is_refused_and_a_value_stays_within_the_settings() -> None:
-    for off in ({"delay": 0.001 + 1.2 * LARGEST_S}, {"scale": 1.0 + 1.2 * LARGEST_SLIP}):
+    for off in ({"late": 1.2 * LARGEST_S}, {"scale": 1.0 + 1.2 * LARGEST_SLIP}):
         assert kept(DistanceLearner(), DistanceNoise(**off), STATED) == STATED
     learner, present = DistanceLearner(), STATED
     for _ in range(60):
-        beyond = DistanceNoise(delay=present.delay + 0.02, scale=present.scale + 0.005)
+        beyond = DistanceNoise(late=present.late + 0.02, scale=present.scale + 0.005)
         present = kept(learner, beyond, present)
-    assert (present.delay, present.scale) == (LATEST_S, LARGEST_SCALE)
+    assert (present.late, present.scale) == (LATEST_S, LARGEST_SCALE)
     assert learner.keep(present) == {}
+
+
+def test_what_is_learned_needs_no_compiler_which_a_cell_of_variants_has_at_its_start_alone() -> (
+    None
+):
+    for name in (LATE, SCALE):
+        rule = parameter_list.change_rule(name)
+        assert rule.change is ChangeTime.LIVE
+        assert not rule.in_contact
 
 
 def test_the_scale_counts_from_the_start_position() -> None:

@@ -89,7 +89,7 @@ def distance_measurement(
     noise = tracker.settings.distance
     way = noise.scale * (sample.position - tracker.task.conveyor.start_position)
     value = way + tracker.reference.origin[1]
-    delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay
+    delay = (now_ns - sample.stamp_ns) * 1e-9 + noise.delay + noise.late
     variance = noise.deviation**2 / count
     return PositionMeasurement(Source.DISTANCE, float(value), delay, variance, noise.gate)
 
