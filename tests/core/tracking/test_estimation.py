@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from linemate.daemon.core import parameters
+from linemate.daemon.core import parameters, rotations
 from linemate.daemon.core.tracking.estimation.estimate import estimate
 from linemate.daemon.core.tracking.estimation.tool_acceleration import at_delay
 from linemate.daemon.core.tracking.goal.rest_state import at_rest
@@ -14,7 +14,7 @@ from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.core.tracking.touch.firmness import Swing
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
-from linemate.protocol.stamped_samples import DistanceSample, WrenchSample
+from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario
 
@@ -41,6 +41,27 @@ def contact(tracker: Tracker) -> TrackerState:
         contact=True,
         touching=1.0,
     )
+
+
+@pytest.mark.parametrize(("turn", "refused"), [(0.7, 0), (-0.9, 1), (1.57, 1), (3.14, 1)])
+@pytest.mark.parametrize("axis", range(3))
+def test_a_first_image_of_an_object_turned_too_far_is_refused(
+    axis: int, turn: float, refused: int
+) -> None:
+    """A camera mounted by a quarter or a half turn otherwise led the tool to 2.2 m/s."""
+    cell = Setup(Scenario())
+    tracker = parameters.build(cell.task, cell.urdf, cell.tracking, cell.control, 0.012).tracker
+    pose = np.concatenate((tracker.reference.origin, np.zeros(3)))
+    mounted, state = tracker.camera[1], at_rest(tracker, pose, 0.0)
+    seen = rotations.quaternion(mounted.T @ rotations.exp(turn * np.eye(3)[axis]))
+    for k in range(1, 11):
+        now_ns = k * 12_000_000
+        image = CameraSample(now_ns, now_ns, "", "camera", "", k, (0.0, 0.0, 0.5), seen)
+        samples = StepSamples(now_ns, pose, now_ns, (), (image,), (), 0)
+        state, _, rejected, _ = estimate(tracker, state, samples)
+        assert rejected in {0, refused}
+    assert rejected == refused
+    assert (state.transverse is None) == bool(refused)
 
 
 def felt(force: tuple[float, float, float], twist: float, *, holds: bool) -> np.ndarray:

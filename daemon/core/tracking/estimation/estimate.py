@@ -5,8 +5,10 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from msgspec.structs import replace
 
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.across.body_sway import NO_SWAY
 from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.classifiers import stop_input
@@ -36,6 +38,7 @@ from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, Tr
 UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]
 FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
 FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
+LARGEST_TURN = 0.8  # of the object from its nominal pose, before it is known [rad]: bodies by 0.4
 
 
 def estimate(
@@ -127,6 +130,9 @@ def _see(
     """
     rejected, waiting, pose_ns = 0, state.first_poses, state.pose_ns
     for source, measured, gate in first_poses:
+        if transverse is None and not _is_upright(measured.rotation):
+            rejected += 1
+            continue
         if transverse is None:
             waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
             if len(waiting) == tracker.settings.fusion.initial_images:
@@ -149,6 +155,11 @@ def _see(
         row = along_measurement(tracker, transverse, source, measured, gate)
         rows.append(row if source is Source.CAMERA else felt_row(tracker, state, row, oscillation))
     return transverse, waiting, rejected, pose_ns
+
+
+def _is_upright(rotation: Array) -> bool:
+    """Return whether an object may be turned so (3, 3): the tool would turn as far with it."""
+    return float(np.trace(rotation)) > 1.0 + 2.0 * math.cos(LARGEST_TURN)
 
 
 def _correct(
