@@ -10,6 +10,7 @@ into their angle, which shows nothing of the camera's mount.
 
 Invariants:
 - A touch counts if its assembly was good: screws fixed, then the wheel released, no retreat.
+- Its depth counts if the object was firm: the press moves one that gives way.
 - A change is made while the robot stands. It goes through the parameter service like an operator's.
 - Corrections that were taken back are learned as quickly as at first.
 - A touch farther off than ``LARGEST_M`` or ``LARGEST_RAD`` shows a fault, not a bias.
@@ -80,7 +81,7 @@ class TouchLearner:
         self._expected: TrackerState | None = None
         self._drawn = 0.0
         self._felt: FeltError | None = None
-        self._is_over = False
+        self._is_over = self._is_firm = False
         self._count = 0
 
     def record_touch(self, entries: Sequence[LogEntry]) -> None:
@@ -88,14 +89,19 @@ class TouchLearner:
         for entry in entries:
             if entry.before is None or entry.after is None or entry.state not in MOVING:
                 self._expected, self._felt, self._is_over = None, None, False
+                self._is_firm = False
                 continue
             self._measure(entry.before.tracker, entry.after.tracker)
             after = entry.after.tracker
+            self._is_firm = self._is_firm or after.compliance.is_firm
             if self._is_over or Gate.WHEEL_RELEASED not in after.passed:
                 continue
             self._is_over = True
             if Gate.SCREWS_FIXED in after.passed and after.withdrawn is None:
                 self.touch = self._felt
+                if self.touch is not None and not self._is_firm:
+                    # One that gives way has yielded by 0.4 mm as the force is detected.
+                    self.touch = self.touch._replace(depth=0.0)
 
     def _measure(self, before: TrackerState, after: TrackerState) -> None:
         """Look at one step: of a settled tool for the place, of a seated one for the turn."""
