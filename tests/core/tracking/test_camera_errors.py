@@ -7,13 +7,12 @@ from unittest import mock
 import numpy as np
 import pytest
 from scipy import stats
-from transverse_runs import FRAME, GATE, SPEED, VARIANCE
+from transverse_runs import FRAME, GATE, VARIANCE
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.across import camera_errors
 from linemate.daemon.core.tracking.across.transverse import Transverse
-from linemate.daemon.core.tracking.across.transverse_model import SLIP
 from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings
@@ -54,45 +53,6 @@ class TestCameraErrors:
         assert state is not None
         k = slice(self.OWN._camera, self.OWN._camera + 4)
         return state, state.x[k], np.sqrt(np.diag(state.P)[k])
-
-    def while_running(self, slip: float, sway: float) -> tuple[TransverseState, Array, Array]:
-        """Return the estimate, and errors and sigmas of camera and unit, of an object that runs.
-
-        Args:
-            slip: share that the unit reads too much.
-            sway: amplitude of the body along the line, at 0.7 Hz [m].
-        """
-        chance, sigma = np.random.default_rng(3), np.sqrt(VARIANCE)
-        first: list[PoseMeasurement] = []
-        state = None
-        for i in range(240):
-            # The range shrinks in the second half alone.
-            distance, t = 0.5 - 0.4 * max(i / 120 - 1.0, 0.0), i * FRAME
-            sensitivity = np.zeros((6, 4))
-            sensitivity[:3, 1:] = distance * np.eye(3)
-            y = SPEED * t + sway * math.sin(1.4 * math.pi * t)
-            place = np.array((0.1, y, 0.5)) + sigma[:3] * chance.standard_normal(3)
-            measured = PoseMeasurement(place, np.eye(3), 0.0, VARIANCE, sensitivity)
-            if state is None:
-                first.append(measured)
-                state = self.OWN.initial(first) if len(first) == 5 else None
-                continue
-            state, _ = self.OWN.correct(self.OWN.predict(state, FRAME), measured, GATE)
-            state = self.OWN.correct_along(state, measured, (1.0 + slip) * SPEED * t)
-        assert state is not None
-        k = slice(self.OWN._camera, self.OWN._camera + 6)
-        return state, state.x[k], np.sqrt(np.diag(state.P)[k])
-
-    def test_a_wheel_that_slips_is_no_bias_of_the_camera(self) -> None:
-        state, errors, sigmas = self.while_running(0.01, 0.0)
-        assert errors[SLIP] == pytest.approx(0.01, abs=0.0015)
-        assert abs(errors[2]) < 2.0 * sigmas[2] < 0.003
-        assert state.along_noise < 1.5
-
-    def test_a_body_that_sways_on_the_unit_is_no_error_that_is_known_well(self) -> None:
-        state, errors, sigmas = self.while_running(0.0, 0.006)
-        assert (abs(errors[[2, SLIP]]) < 2.0 * sigmas[[2, SLIP]]).all()
-        assert state.along_noise > 10.0
 
     @pytest.mark.parametrize("offset", [-0.02, 0.0, 0.02])
     def test_the_error_of_a_stamp_is_found_from_the_arms_motion(self, offset: float) -> None:

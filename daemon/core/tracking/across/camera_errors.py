@@ -9,17 +9,8 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.lapack import dposv as _solve
-from linemate.daemon.core.tracking.across.transverse_model import (
-    ALONG,
-    ERRORS,
-    SLIP,
-    TransverseModel,
-)
-from linemate.daemon.core.tracking.across.transverse_state import (
-    LEAST_INFLATION,
-    MEMORY,
-    TransverseState,
-)
+from linemate.daemon.core.tracking.across.transverse_model import CAMERA, TransverseModel
+from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 
 ALONG_NOISE = 0.0005  # sigma of the unit's position at an exposure [m]
@@ -63,8 +54,8 @@ class CameraErrorModel(TransverseModel):
     ) -> TransverseState:
         """Return the estimate after the pose's component along the conveyor.
 
-        The object is at a constant offset from the conveyor unit, whose wheel may slip: what else
-        changes as the arm moves is an error of the camera. An outlier is left out.
+        The object is at a constant offset from the conveyor unit: what changes as the arm moves is
+        an error of the camera. An outlier is left out.
 
         Args:
             unit: position of the conveyor at the exposure, by the distance sensor [m].
@@ -73,7 +64,7 @@ class CameraErrorModel(TransverseModel):
         if sensitivity is None:
             return state
         k, h = self._camera, np.zeros(self.size)
-        h[k : k + ERRORS], h[k + ALONG], h[k + SLIP] = sensitivity[1], 1.0, -unit
+        h[k : k + CAMERA - 1], h[k + CAMERA - 1] = sensitivity[1], 1.0
         if self._has_lasting and measured.lasting is not None:
             h[self._lasting : self._lasting + 3] = measured.lasting[0][1]
         value = float(measured.position[1]) - unit
@@ -81,32 +72,15 @@ class CameraErrorModel(TransverseModel):
         for mode, angle in zip(self.swing, angles, strict=True):
             value -= mode.levers[1] * angle
         Ph = state.P.dot(h)
-        innovation, spread = value - float(h.dot(state.x)), float(h.dot(Ph))
-        noise, state = self._along_noise(state, measured, innovation * innovation - spread)
-        S = spread + noise
+        S = float(h.dot(Ph)) + state.inflation * float(measured.variance[1]) + ALONG_NOISE**2
+        innovation = value - float(h.dot(state.x))
         if not innovation * innovation <= ALONG_GATE * ALONG_GATE * S:
             # The object may have moved on the unit: its offset counts less from now on.
             P = state.P.copy()
-            P[k + ALONG, k + ALONG] += (ALONG_LEAK * innovation) ** 2
+            P[k + CAMERA - 1, k + CAMERA - 1] += (ALONG_LEAK * innovation) ** 2
             return replace(state, P=P)
         K = Ph / S
         return self.folded(state, state.x + K * innovation, state.P - K[:, None] * Ph)
-
-    def _along_noise(
-        self, state: TransverseState, measured: PoseMeasurement, square: float
-    ) -> tuple[float, TransverseState]:
-        """Return the variance of a pose against the unit [m^2], and the state that has seen it.
-
-        A body that sways on the unit is no error of the camera. The innovations show it as noise,
-        which stays the same for some images.
-
-        Args:
-            square: squared innovation minus the variance of its prediction [m^2].
-        """
-        stated, shown = float(measured.variance[1]) + ALONG_NOISE**2, state.along_noise
-        average = max(shown + (max(square / stated, 0.0) - shown) / MEMORY, 1.0)
-        lasting = LASTING * (shown - 1.0) if shown > LEAST_INFLATION else 0.0
-        return (state.inflation + lasting) * stated, replace(state, along_noise=average)
 
     @cached_property
     def _errors(self) -> tuple[tuple[slice, float], ...]:
@@ -143,16 +117,8 @@ class CameraErrorModel(TransverseModel):
             # One product for both terms: the gain's rows, and what the shift adds to the spread.
             left = np.concatenate((rows, shift[None])).T
             P = P - left.dot(np.concatenate((none * gain, (none * (none - 1.0) * shift)[None])))
-        return replace(state, shrinkage=x - state.x, errors=self._errors_known(P))
-
-    def _errors_known(self, P: Array) -> Array:
-        """Return the covariance (4, 4) of the camera's errors if the share of slip is known.
-
-        The filter along the conveyor has that share as a state: here it would count twice.
-        """
-        c, s = slice(self._camera, self._camera + ERRORS), self._camera + SLIP
-        slip = float(P[s, s])
-        return P[c, c] - np.outer(P[c, s], P[s, c]) / slip if slip > 0.0 else P[c, c]
+        c = slice(self._camera, self._camera + CAMERA - 1)
+        return replace(state, shrinkage=x - state.x, errors=P[c, c])
 
     def believed(self, state: TransverseState) -> TransverseState:
         """Return the estimate for readers: errors count as far as they are likely."""
@@ -167,9 +133,9 @@ class CameraErrorModel(TransverseModel):
         sensitivity = self.sensitivity(state, measured)
         if sensitivity is None:
             return measured
-        k = slice(self._camera, self._camera + ERRORS)
+        k = slice(self._camera, self._camera + CAMERA - 1)
         error = sensitivity.dot(self.believed(state).x[k])
-        P = self._errors_known(state.P) if state.errors is None else state.errors
+        P = state.P[k, k] if state.errors is None else state.errors
         spread = np.add.reduce(sensitivity.dot(P) * sensitivity, axis=1)
         return PoseMeasurement(
             measured.position - error[:3],

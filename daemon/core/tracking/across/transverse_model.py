@@ -28,9 +28,7 @@ from linemate.daemon.core.tracking.across.transverse_state import (
 from linemate.daemon.core.tracking.settings import CameraNoise, FusionSettings, SwingMode
 
 FREQUENCY_FACTORS = (0.9, 1.1)  # range of the estimated frequency over the identified one
-CAMERA = 6  # states of the camera's errors, and two of the distance sensor
-ERRORS = 4  # of these, the camera's: stamp and three biases
-ALONG, SLIP = 4, 5  # offset along the conveyor, and the share that its wheel reads too much
+CAMERA = 5  # states of the camera's errors: stamp, three biases, offset along the conveyor
 LASTING_NOISE = 6  # states of its correlated noise: along its axes, and three rotations
 STAMP_WALK = 0.05  # random walk of the stamp's error, as a share of its sigma [1/sqrt(s)]
 BIAS_WALK = 0.02  # of a bias, likewise
@@ -190,8 +188,7 @@ class TransverseModel:
             k = self._camera
             noise[k] = (STAMP_WALK * self.camera.stamp_offset) ** 2 * dt
             noise[k + 1 : k + 4] = (BIAS_WALK * self.camera.bias) ** 2 * dt
-            noise[k + ALONG] = ALONG_WALK**2 * dt
-            noise[k + SLIP] = self.fusion.slip_walk**2 * dt
+            noise[k + 4] = ALONG_WALK**2 * dt
         if self.camera is not None and self._has_lasting:
             # Gauss-Markov: its variance stays 1.
             kept, both = (

@@ -8,7 +8,6 @@ X, Z, TURN = 0, 1, 2  # rows of x, z, and of the first of three rotations
 STATIC = 5  # states without the swings
 LEAST_INFLATION = 2.0  # NIS from which the variance of a camera is inflated
 LARGEST_INFLATION = 25.0  # of a camera's variance
-MEMORY = 40  # measurements over which the NIS is averaged; a correct camera reaches 1.2
 
 
 class TransverseState(Struct, frozen=True, eq=False):
@@ -24,7 +23,6 @@ class TransverseState(Struct, frozen=True, eq=False):
         rejected: measurements rejected in a row.
         frequency_factors: each swing's frequency over the identified one.
         nis: average normalised innovation squared of the camera's poses.
-        along_noise: variance along the conveyor over the stated one, as the innovations show it.
         speed: of the conveyor in the last step [m/s].
         unit: position of the conveyor unit in the last step [m], None before.
         swaying: speed of the object against the conveyor in the last step [m/s].
@@ -39,7 +37,6 @@ class TransverseState(Struct, frozen=True, eq=False):
     rejected: int = 0
     frequency_factors: tuple[float, ...] = ()
     nis: float = 1.0
-    along_noise: float = 1.0
     speed: float = 0.0
     unit: float | None = None
     swaying: float = 0.0
