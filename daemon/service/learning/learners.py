@@ -55,20 +55,33 @@ class Learners:
     def learn(self, entries: Sequence[LogEntry]) -> None:
         """Look at the last steps. Once the robot stands, set what a good assembly has shown."""
         if self._servos is not None:
-            self._learn_servos(self._servos, entries)
+            self._servos.record_motion(entries)
         if self._distances is not None:
-            # Before the touches: one that a wrong distance has moved shows no camera.
-            self._learn_distance(self._distances, entries)
+            self._distances.record_motion(entries)
         if self._touches is not None:
-            self._learn_touch(self._touches, entries)
+            self._touches.record_touch(entries)
         if self._parts is not None:
-            self._learn_part(self._parts, entries)
-
-    def _learn_servos(self, learner: Learner, entries: Sequence[LogEntry]) -> None:
-        """Collect a motion. Once the robot stands, estimate the servo models from it."""
-        learner.record_motion(entries)
-        if not (learner.ripe and self._cycle.stands):
+            self._parts.record_weight(entries)
+        if not self._cycle.stands:
             return
+        if self._servos is not None and self._servos.ripe:
+            self._estimate_servos(self._servos)
+        tracking = self._settings().tracking
+        if self._distances is not None and self._distances.shown is not None:
+            values = self._distances.keep(tracking.distance)
+            self._keep(values, distances.WHO, "what the object's motion has shown")
+            if self._distances.spoils_touch and self._touches is not None:
+                # A touch that a wrong distance has moved shows no camera.
+                self._touches.touch = None
+        if self._touches is not None and self._touches.touch is not None:
+            values = self._touches.keep(tracking.camera)
+            self._keep(values, touches.WHO, "what the touch has shown")
+        if self._parts is not None and self._parts.mass is not None:
+            values = self._parts.keep(tracking.payload)
+            self._keep(values, part_mass.WHO, "what the part weighs")
+
+    def _estimate_servos(self, learner: Learner) -> None:
+        """Estimate the servo models from a motion, in a thread."""
         work = asyncio.get_running_loop().run_in_executor(
             None, learner.estimate_servos, learner.motion()
         )
@@ -84,32 +97,6 @@ class Learners:
             self._keep(values, servos.WHO, "the estimate of the servo models")
 
         work.add_done_callback(done)
-
-    def _learn_touch(self, learner: TouchLearner, entries: Sequence[LogEntry]) -> None:
-        """Correct the camera by the touch of a good assembly, once the robot stands."""
-        learner.record_touch(entries)
-        if learner.touch is None or not self._cycle.stands:
-            return
-        values = learner.keep(self._settings().tracking.camera)
-        self._keep(values, touches.WHO, "what the touch has shown")
-
-    def _learn_distance(self, learner: DistanceLearner, entries: Sequence[LogEntry]) -> None:
-        """Correct the distance sensor's delay and scale, once the robot stands."""
-        learner.record_motion(entries)
-        if learner.shown is None or not self._cycle.stands:
-            return
-        values = learner.keep(self._settings().tracking.distance)
-        self._keep(values, distances.WHO, "what the object's motion has shown")
-        if learner.spoils_touch and self._touches is not None:
-            self._touches.touch = None
-
-    def _learn_part(self, learner: PartLearner, entries: Sequence[LogEntry]) -> None:
-        """Set the part's mass by the release of a good assembly, once the robot stands."""
-        learner.record_weight(entries)
-        if learner.mass is None or not self._cycle.stands:
-            return
-        values = learner.keep(self._settings().tracking.payload)
-        self._keep(values, part_mass.WHO, "what the part weighs")
 
     def _keep(self, values: Mapping[str, Any], who: str, what: str) -> None:
         """Set values by name, in the name of ``who``; an event says why they are not used."""
