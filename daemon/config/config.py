@@ -146,7 +146,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
-    unbearable = [*mount_complaints(config, config.tracking), *_fine(config, named.dbc)]
+    unbearable = [*mount_complaints(config, config.tracking), *_count_complaints(config, named.dbc)]
     if unbearable:
         raise FileError(document.lines(unbearable))
     _refuse_far_sensor(config, task)
@@ -274,8 +274,8 @@ def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Compla
         yield Complaint(("tracking", "tactile", "overload_force"), what)
 
 
-def _fine(config: Config, dbc: str | None) -> Iterator[Complaint]:
-    """Yield a deviation of the distance that is less than its count alone makes."""
+def _count_complaints(config: Config, dbc: str | None) -> Iterator[Complaint]:
+    """Yield a complaint about a deviation of the distance below that of its rounded counts."""
     distance, deviation = config.distance, config.tracking.distance.deviation
     if distance is None or dbc is None:
         return
