@@ -129,7 +129,7 @@ def test_the_daemons_clock_wakes_halfway_between_the_c_timers_wakes(now_ns: int)
 @pytest.mark.timeout(120)
 def test_one_short_round_for_real(program: Path, tmp_path: Path) -> None:
     trace = tmp_path / "trace.json"
-    record_trace(0.5).write(trace)
+    record_trace().write(trace)
     fifo = host.missing_rights() is None
     bench = Bench(trace, program, tmp_path, fifo, 1, 0.1, (0, 0))
     found = bench_turnaround.measure(bench, 12_000, prepared=True, modes=("idle",))

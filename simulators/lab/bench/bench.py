@@ -25,6 +25,7 @@ from typing import Any, Final
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import StepState, initial, step
+from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import doctor
 from linemate.daemon.service.host.idle_spinner import IdleSpinner
@@ -52,9 +53,6 @@ CYCLES_MS: Final = (12, 4, 2, 1)
 CPU_CYCLE_MS: Final = 4
 PARTS: Final = ("turnaround", "wakeup", "step", "virtual")
 LEAD_IN_S: Final = 2.5
-SETTLE_S: Final = 4.0
-"""Play time in addition to the rounds: between them and at the start [s]."""
-
 VIRTUAL: Final = "virtual_times_realtime"
 TURNAROUND_HEAD: Final = (
     "cycle", "mode", "p50 us", "echo", "p99 us", "echo", "p50 ratio", "p99 ratio", "late",
@@ -235,7 +233,7 @@ def _measure_processes(options: Options, folder: Path, result: dict[str, Any]) -
     result["echo"] = "python" if program is None else "c"
     result["fifo"] = bench.fifo
     if "turnaround" in options.parts:
-        record_trace(options.rounds * options.round_s).write(bench.trace)
+        record_trace().write(bench.trace)
         starts = []
         result["turnaround"] = {}
         for cycle_ms in options.cycles_ms:
@@ -263,19 +261,17 @@ def _resting(name: str, measured: Measured) -> Iterator[str]:
         yield f"{name}: too much for this machine; the daemon answers but is in {measured.state}"
 
 
-def record_trace(measured_s: float) -> StationTrace:
-    """Run the assembly in virtual time for as long as the rounds may take, and keep its readings.
+def record_trace() -> StationTrace:
+    """Run the assembly in virtual time until contact, and keep its readings.
 
-    Args:
-        measured_s: all rounds of one mode [s]; what is longer than the assembly plays it again.
+    The played robot stands free where the recorded one was in contact. It got no image there, so
+    that the daemon would hold the robot from then on.
     """
     run_setup = setup.make("wheel", cycle_ms=12.0)
-    longest = run_setup.scenario.duration_s
-    duration = min(longest, 2.0 * measured_s + SETTLE_S)
-    scenario = replace(run_setup.scenario, lead_in_s=LEAD_IN_S, duration_s=duration)
+    scenario = replace(run_setup.scenario, lead_in_s=LEAD_IN_S)
     entries: list[LogEntry] = []
     run = Lockstep(replace(run_setup, scenario=scenario), seed=0, on_step=entries.append)
-    while run.turn():
+    while run.turn() and run.cycle.machine.state is not State.CONTACT:
         pass
     return bench_trace.from_entries(entries)
 

@@ -41,8 +41,11 @@ SO_TIMESTAMPNS: Final = 35
 TIMESPEC: Final = struct.Struct("@ll")
 ANCILLARY: Final = socket.CMSG_SPACE(TIMESPEC.size)
 FIRST_IPOC: Final = 100_000_000
-SETTLE: Final = 150
-"""Cycles after a new session that do not count: the daemon learns the counter step again."""
+SETTLE_NS: Final = 1_500_000_000
+"""Of a pass that does not count: the daemon finds the object and is armed again."""
+
+RESTART_NS: Final = 500_000_000
+"""Silence before the controller's program begins again: shorter, its start would be no proof."""
 
 SLIP_AFTER: Final = 0.25
 FORGOTTEN: Final = 64
@@ -222,8 +225,8 @@ class Player:
             after_ns = self._pass(begin_ns, played_ns)
             if after_ns is None:
                 return
+            played_ns += after_ns - begin_ns
             begin_ns = after_ns
-            played_ns += self._cycle_ns * self._cycles
 
     def _pass(self, begin_ns: int, played_ns: int) -> int | None:
         """Play the trace once.
@@ -242,7 +245,7 @@ class Player:
             due_ns = self._sleep(due_ns)
             self._arm.follow(self._robot.read_replies())
             self._echo.read_replies()
-            counting = self._left > 0 and number >= SETTLE
+            counting = self._left > 0 and number * cycle_ns >= SETTLE_NS
             ipoc = FIRST_IPOC + 4 * number
             telegram = self._arm.telegram(ipoc, number * cycle_ns)
             self._robot.ask(telegram, ipoc, counted=counting)
@@ -260,7 +263,7 @@ class Player:
             if not self._listen():
                 return None
             due_ns += cycle_ns
-        return due_ns
+        return due_ns + RESTART_NS
 
     def _count(self, counting: bool) -> None:
         if not counting:

@@ -44,6 +44,11 @@ MOVING: Final = {"track", "contact"}
 AT_WORK_S: Final = 8.0
 LEAST_CYCLES: Final = 100
 WARM_S: Final = 0.3
+LOOK_S: Final = 1.0
+"""Between two looks at a daemon that moves the robot [s]; each look costs it time."""
+
+OPERATE_S: Final = 0.1
+"""Between two orders to a daemon that does not [s]."""
 
 WAKE_PERIOD_NS: Final = 4_000_000
 NEVER_NS: Final = 1 << 60
@@ -286,21 +291,23 @@ class _BenchProcesses:
         order = {"measure": cycles, "file": str(path)}
         self._control.send(json.dumps(order).encode())
         end = time.monotonic() + START_S + 10e-6 * cycles * self._cycle_us
-        while not select([self._control], [], [], 1.0)[0]:
-            self._operate()
+        wait_s = OPERATE_S
+        while not select([self._control], [], [], wait_s)[0]:
+            wait_s = LOOK_S if self._operate() in MOVING else OPERATE_S
             if time.monotonic() > end:
                 raise TimeoutError(f"a round of {cycles} cycles did not end")
         measured = json.loads(self._control.recv(4096))["measured"]
         spent = cpu_ns(self._daemon.pid) - spent
         after = self._counted()
-        total = sum(after) - sum(before)
-        share = (after[0] - before[0]) / total if total else None
+        prepared, total = after[0] - before[0], after[1] - before[1]
+        share = prepared / total if total else None
         # Cycles that a pass' begin cost are not measured, but were computed.
         return Round.read(path, spent * measured / max(total, 1), share)
 
     def _counted(self) -> tuple[int, int]:
+        """Return how many replies were prepared, and how many steps were made."""
         status = self._status()
-        return status["prepared"], status["inline"]
+        return status["prepared"], status["steps"]
 
     def _status(self) -> dict[str, Any]:
         return self._client.call("status", timeout_s=5.0)
