@@ -95,6 +95,16 @@ def fault(signals: Signals, evidence: Evidence) -> str:
     return f"{what}. {todo}" if todo else what
 
 
+def refusal(reason: str, signals: Signals, evidence: Evidence) -> str:
+    """Return why an order is refused, with the sensors that make nothing fresh.
+
+    Args:
+        reason: the state table's.
+    """
+    stale = [name for name in ("position_fresh", "wrench_fresh") if not getattr(signals, name)]
+    return _sentence(reason, [_explain(name, signals, evidence) for name in stale])
+
+
 def decisive(row: Row, machine: Machine, signals: Signals) -> tuple[str, ...]:
     """Return the names of the signals that made a row decide.
 

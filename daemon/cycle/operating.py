@@ -105,6 +105,7 @@ class Operating:
         self._orders: dict[str, str] = {}  # operators by order
         self._changes: deque[Change] = deque(maxlen=CHANGES)
         self._settled: Machine | None = None  # the last signals led nowhere from there
+        self._seen: tuple[watch.Facts, SensorQueues, Situation] | None = None
 
     def refusal(self, op: str, situation: Situation) -> str | None:
         """Return why an operator's order is refused now, None if it is not.
@@ -114,6 +115,8 @@ class Operating:
             situation: what keeps a robot from being armed is named before what follows from it.
         """
         reason = states.refusal(self.machine, self.signals, op)
+        if self._seen and reason and reason == states.unfit(self.signals):
+            reason = causes.refusal(reason, self.signals, self._evidence(*self._seen, {}))
         if reason is not None and op == "arm" and situation.last is not None:
             reason = situation.last.ready or (SETTLING if situation.settling else reason)
         if reason is None and op == "home":
@@ -154,6 +157,7 @@ class Operating:
         """
         before = self.machine
         facts = self._facts(stamp_ns, samples, situation, telegram=telegram)
+        self._seen = (facts, samples, situation)
         orders = self._orders
         self._orders = {}
         self.decisions += 1

@@ -67,3 +67,16 @@ def test_in_a_fault_the_gap_to_an_object_counts_only_while_it_moves(
     situation = Situation(seen, None, None, settling=False, sensed=True)
     facts = operating._facts(NOW_NS, SensorQueues(), situation, telegram=True)
     assert (facts.gap_m is not None) is is_seen
+
+
+def test_a_refused_arm_names_the_sensor_that_is_not_fresh() -> None:
+    settings = WatchSettings()
+    operating = Operating(settings, 0.012, wrench_expected=True)
+    operating.machine = Machine(State.IDLE)
+    situation = Situation(None, None, None, settling=False, sensed=True)
+    operating.decide(10**9, SensorQueues(), situation, telegram=True)
+    refusal = operating.order("arm", situation)
+    assert refusal is not None
+    assert "no fresh position of the object" in refusal
+    assert ": distance silent since the start, camera silent since the start (limit " in refusal
+    assert "force_torque silent since the start (limit " in refusal

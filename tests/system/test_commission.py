@@ -147,7 +147,9 @@ def test_a_wrong_cell_is_not_approached_and_assembles_once_it_is_measured(measur
     before = assembly(None)
     assert before.collision is None
     assert not judge(before)["assembled"]
-    assert before.changes[-1].cause.startswith("no fresh position: camera and distance contradict")
+    contradicted = "no fresh position of the object: camera and distance contradict each other"
+    assert before.refusal is not None
+    assert before.refusal.startswith(f"arm refused: {contradicted}: ")
     after = assembly(measured)
     assert after.collision is None
     assert judge(after)["assembled"]
