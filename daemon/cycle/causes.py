@@ -96,11 +96,7 @@ def fault(signals: Signals, evidence: Evidence) -> str:
 
 
 def refusal(reason: str, signals: Signals, evidence: Evidence) -> str:
-    """Return why an order is refused, with the sensors that make nothing fresh.
-
-    Args:
-        reason: the state table's.
-    """
+    """Return the state table's reason for a refusal, with the sensors that are not fresh."""
     stale = [name for name in ("position_fresh", "wrench_fresh") if not getattr(signals, name)]
     return _sentence(reason, [_explain(name, signals, evidence) for name in stale])
 
