@@ -90,7 +90,7 @@ def track(
     if stood or state.anchor is not None:
         state, goal = retraction.anchor_goal(state, goal)
     if state.withdrawn is not None:
-        state, goal = retraction.withdraw(tracker, state, goal, part)
+        state, goal = retraction.withdraw(tracker, state, goal, part, relative)
     goal = merge.rounded(goal, tracker.corner)
     in_contact = state.contact or (not retreat and is_about_to_touch(tracker, state))
     plan = tracker.merge_plan(in_contact=in_contact, retreats=retreat, lead=state.lead)

@@ -178,6 +178,7 @@ class TrackerState(Struct, frozen=True, eq=False):
             offset from the object while the task is started; None if it tracked.
         gone: way of an emergency retraction before it began again at rest [m].
         further: its way behind the least one [m].
+        leaving: speed at which the programme left the object as a retraction began [m/s].
         distance: programmed, from the tcp to the object along its z [m].
         readings: of the distance sensor, before the classifier starts [m].
         pull: mean force on the tool in contact, or since its clamp was ordered to open [N].
@@ -253,6 +254,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     anchor: Array | None = None
     gone: float = 0.0
     further: float = 0.0
+    leaving: float = 0.0
     distance: float = math.inf
     readings: tuple[float, ...] = ()
     pull: Vector3 = (0.0, 0.0, 0.0)

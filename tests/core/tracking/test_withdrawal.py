@@ -4,7 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from msgspec import structs
 
+from linemate.daemon.core import parameters
+from linemate.daemon.core.tracking.goal.rest_state import at_rest
+from linemate.daemon.core.tracking.goal.retraction import withdraw
 from linemate.daemon.core.tracking.touch.withdrawal import (
     ENDS_S,
     FASTEST,
@@ -15,6 +19,8 @@ from linemate.daemon.core.tracking.touch.withdrawal import (
     compile_withdrawal,
     lag,
 )
+from linemate.simulators.harness.setup import Setup
+from linemate.simulators.plants.scenario import Scenario
 
 
 @pytest.mark.parametrize("speed", [SLOWEST, 0.3, FASTEST])
@@ -72,3 +78,18 @@ def test_a_retraction_from_a_moving_object_keeps_the_free_speed_of_the_tcp() -> 
 def test_a_retraction_is_not_endless_where_the_tcp_may_hardly_move() -> None:
     assert compile_withdrawal(0.05, 0.106, 0.3).speed == SLOWEST
     assert compile_withdrawal(1.5, 0.106, 0.3).speed == FASTEST
+
+
+@pytest.mark.parametrize("leaving", [0.0, 0.15, 0.3, 0.6])
+def test_a_retraction_in_the_tasks_own_retreat_makes_the_tool_no_faster(leaving: float) -> None:
+    """The sum of both was beyond the tcp's limit: the arm left its way, the free tool swung."""
+    cell = Setup(Scenario())
+    tracker = parameters.build(cell.task, cell.urdf, cell.tracking, cell.control, 0.012).tracker
+    programme = np.zeros((tracker.steps + 1, 6))
+    programme[:, 2] = -leaving * tracker.span
+    state = structs.replace(at_rest(tracker, np.zeros(6), 0.0), withdrawn=0.0)
+    state, goal = withdraw(tracker, state, programme, None, programme)
+    speeds = -np.diff(goal[:, 2]) / tracker.cycle_s
+    fastest = max(tracker.withdrawal.speed, leaving)
+    assert speeds.max() == pytest.approx(fastest, rel=1e-3)
+    assert -goal[-1, 2] >= 0.99 * tracker.withdrawal.way(tracker.span)[-1]

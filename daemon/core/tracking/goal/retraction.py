@@ -48,19 +48,23 @@ def _gone(tracker: Tracker, state: TrackerState) -> float:
 
 
 def withdraw(
-    tracker: Tracker, state: TrackerState, goal: Array, part: Array | None
+    tracker: Tracker, state: TrackerState, goal: Array, part: Array | None, relative: Array
 ) -> tuple[TrackerState, Array]:
     """Return the state and the goal (m, 6) of a tool that withdraws.
 
-    One that begins again at rest takes up the object's speed as gradually as its own.
+    One that begins again at rest takes up the object's speed as gradually as its own. Where the
+    task's own retreat is under way, both together are no faster than either.
 
     Args:
         part: (6,) the object now, None while it is not seen.
+        relative: (m, 6) the programmed tcp in the object.
     """
     if state.withdrawn == 0.0 and state.gone <= 0.0:
-        state = replace(state, further=_further(tracker, state, part))
+        leaving = float(np.max(relative[:-1, 2] - relative[1:, 2])) / tracker.cycle_s
+        state = replace(state, further=_further(tracker, state, part), leaving=leaving)
     times = (state.withdrawn or 0.0) + tracker.span
-    goal = approach.withdraw(goal, tracker.withdrawal.way(times, state.gone, state.further))
+    way = tracker.withdrawal.way(times, state.gone, state.further)
+    goal = approach.withdraw(goal, tracker.withdrawal.share(state.leaving) * way)
     if state.gone > 0.0:
         goal[:, merge.ALONG] -= state.speed * withdrawal.lag(times)
     return state, goal

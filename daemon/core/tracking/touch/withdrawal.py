@@ -59,6 +59,14 @@ class Withdrawal:
         """
         return self.duration + further / self.speed
 
+    def share(self, leaving: float) -> float:
+        """Return the share of its way that a programme leaves it, for both to be no faster.
+
+        Args:
+            leaving: speed at which the programme itself moves the tool off the object [m/s].
+        """
+        return min(max(1.0 - leaving / self.speed, 0.0), 1.0)
+
     def way(self, times: Array, gone: float = 0.0, further: float = 0.0) -> Array:
         """Return the way (m,) at times from its begin (m,) [m].
 
