@@ -55,6 +55,7 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.distance.late": _NOT_IN_CONTACT,
     "tracking.distance.scale": _NOT_IN_CONTACT,
     "tracking.camera": _LIVE,
+    "tracking.camera.blind_below": _IDLE,  # the plan's waypoint moves with it
     "tracking.camera.lasting": _IDLE,  # the filter has states for it, or none
     "tracking.camera.felt": _NOT_IN_CONTACT,
     "tracking.camera.felt_depth": _NOT_IN_CONTACT,
@@ -64,6 +65,8 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking.fusion.initial_images": _IDLE,
     "tracking.payload.part_mass": _NOT_IN_CONTACT,
     "tracking.tactile": _NOT_IN_CONTACT,
+    "tracking.tactile.stiffness": _IDLE,  # the plan's touch is as slow as it and the overload need
+    "tracking.tactile.overload_force": _IDLE,
     "tracking.rule": _NOT_IN_CONTACT,
     "tracking.bank": _NOT_IN_CONTACT,
     "tracking.bank.longest_onset": _IDLE,

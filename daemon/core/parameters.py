@@ -292,12 +292,15 @@ def retuned(parameters: Parameters, tracking: TrackingSettings) -> Parameters:
     Args:
         tracking: settings that differ in nothing else.
     """
+    vibrations = _vibrations(tracking.tactile, parameters.settings, parameters.cycle_s)
     tracker = replace(
         parameters.tracker,
         settings=tracking,
         camera=_camera_in_tcp(parameters.tracker.task, tracking),
         classifier=_classifier(parameters.tracker.task, tracking),
         transverse=Transverse(tracking.fusion, tracking.swing, tracking.camera),
+        vibration=vibrations[TOOL_AXIS],
+        across=(vibrations[0], vibrations[1]),
     )
     return replace(parameters, tracker=tracker)
 

@@ -1,23 +1,30 @@
 """Parameters of a running daemon: all of a change or none, at the right time, and kept."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from loops import run
 from standing_daemon import TEXT, Standing
 
-from linemate.daemon.config import config, overlays
+from linemate.daemon.config import config, overlays, parameter_list
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError
+from linemate.daemon.config.parameter_list import ChangeTime
 from linemate.daemon.config.task_file import Task
+from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.tracking.settings import TrackingSettings
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.states import Machine, State
+from linemate.simulators.harness.setup import shipped_control
 
 NOISE = "tracking.distance.deviation"
 SERVO = "control.servos.2.frequency_hz"
@@ -77,6 +84,32 @@ def test_a_live_change_compiles_to_what_a_start_would(make: Make, task: Task) ->
         assert repr(made.transverse) == repr(fresh.tracker.transverse)
 
     run(main())
+
+
+def another(settings: tree.Settings, name: str, value: Any) -> tree.Settings:
+    """Return the settings with another value of a parameter, within its range."""
+    if isinstance(value, bool):
+        return tree.change(settings, {name: not value})
+    for factor in (2.0, 0.5, 1.01):
+        changed = [type(each)(factor * each or 0.001) for each in np.atleast_1d(value).tolist()]
+        with contextlib.suppress(tree.SettingError):
+            return tree.change(settings, {name: changed if np.ndim(value) else changed[0]})
+    raise AssertionError(name)
+
+
+def test_every_live_change_compiles_to_what_a_start_would(task: Task) -> None:
+    control = shipped_control()
+    settings = tree.Settings(TrackingSettings(), control, WatchSettings())
+    made = compiling.build(task.file, task.urdf, settings.tracking, control, 0.012)
+    for name, value in tree.leaves(settings):
+        is_live = parameter_list.change_rule(name).change is ChangeTime.LIVE
+        if is_live and name.startswith("tracking."):
+            settings = another(settings, name, value)
+    live = compiling.retuned(made, settings.tracking).tracker
+    fresh = compiling.build(task.file, task.urdf, settings.tracking, control, 0.012)
+    with np.printoptions(threshold=10**6, precision=17):
+        for part in fields(live):
+            assert repr(getattr(live, part.name)) == repr(getattr(fresh.tracker, part.name))
 
 
 @pytest.mark.parametrize(
@@ -352,6 +385,17 @@ def test_a_touch_that_is_felt_at_the_overload_is_refused_as_in_the_file(make: Ma
     here.cycles(3)
     answer = here.assign({"tracking.tactile.contact_force": 300.0})
     assert "contact_force: a touch is felt from 300 N on, at most half" in answer["refused"]
+
+
+def test_a_deviation_below_that_of_the_counts_is_refused_as_in_the_file(make: Make) -> None:
+    """Saved, it would keep the daemon from its next start."""
+    here = make()
+    sensor = "distance: {can: {interface: virtual}, message: TF03, signal: Distance}\n"
+    here.path.write_text(f"{TEXT}{sensor}tracking: {{distance: {{deviation: 3e-3}}}}\n")
+    here = make()
+    here.cycles(3)
+    answer = here.assign({NOISE: 0.001})
+    assert answer["refused"].startswith(f"{NOISE}: 1 mm is less than counts of 10 mm have, 2.9 mm")
 
 
 def test_a_limit_wider_than_the_urdfs_is_refused_with_both(make: Make) -> None:
