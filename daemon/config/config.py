@@ -69,6 +69,7 @@ class LoadedConfig:
         written: the parameters without what operators saved.
         state: directory for what operators save, None if there is none.
         variants: tasks of the production's variants, by name.
+        count_m: count of the distance sensor, 0 without one [m].
     """
 
     path: Path
@@ -81,6 +82,7 @@ class LoadedConfig:
     written: Settings
     state: Path | None = None
     variants: dict[str, Task] = field(default_factory=dict, repr=False)
+    count_m: float = 0.0
 
     @property
     def cycle_s(self) -> float:
@@ -146,7 +148,8 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
     config = _with_urdf_limits(overlays.apply(document, config, base), task)
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
-    unbearable = [*mount_complaints(config, config.tracking), *_count_complaints(config, named.dbc)]
+    count_m = _count(config, named.dbc)
+    unbearable = [*device_complaints(config, config.tracking, count_m)]
     if unbearable:
         raise FileError(document.lines(unbearable))
     _refuse_far_sensor(config, task)
@@ -161,6 +164,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
         overlays.settings_of(_with_urdf_limits(written, task)),
         overlays.directory(config, base),
         variants,
+        count_m,
     )
 
 
@@ -215,12 +219,15 @@ def _refuse_wider_limits(document: YamlDocument, config: Config, task: Task) -> 
         raise FileError(document.lines(complaints))
 
 
-def mount_complaints(config: Config, tracking: TrackingSettings) -> Iterator[Complaint]:
-    """Yield forces and masses that the elastic mount or its force-torque sensor cannot have.
+def device_complaints(
+    config: Config, tracking: TrackingSettings, count_m: float
+) -> Iterator[Complaint]:
+    """Yield what the elastic mount, its force-torque sensor or the distance sensor cannot have.
 
     Args:
-        config: with the sensor's device.
+        config: with the force-torque sensor's device.
         tracking: the settings to check.
+        count_m: count of the distance sensor, 0 without one [m].
     """
     payload, tactile = tracking.payload, tracking.tactile
     overload, stiffness = tactile.overload_force, max(tactile.stiffness)
@@ -260,6 +267,7 @@ def mount_complaints(config: Config, tracking: TrackingSettings) -> Iterator[Com
         yield Complaint(("tracking", "tactile", "rotational_stiffness"), what)
     if config.force_torque is not None:
         yield from _unseen_overload(config.force_torque.device, tracking)
+    yield from _count_complaints(tracking.distance.deviation, count_m)
 
 
 def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Complaint]:
@@ -274,16 +282,20 @@ def _unseen_overload(device: str, tracking: TrackingSettings) -> Iterator[Compla
         yield Complaint(("tracking", "tactile", "overload_force"), what)
 
 
-def _count_complaints(config: Config, dbc: str | None) -> Iterator[Complaint]:
-    """Yield a complaint about a deviation of the distance below that of its rounded counts."""
-    distance, deviation = config.distance, config.tracking.distance.deviation
+def _count(config: Config, dbc: str | None) -> float:
+    """Return the count of the distance sensor, 0 without one [m]."""
+    distance = config.distance
     if distance is None or dbc is None:
-        return
-    step = DistanceDecoder(dbc, distance.message, distance.signal, step=distance.step_m).step_m
-    least = step / math.sqrt(12.0)  # of a reading that is rounded to counts
+        return 0.0
+    return DistanceDecoder(dbc, distance.message, distance.signal, step=distance.step_m).step_m
+
+
+def _count_complaints(deviation: float, count_m: float) -> Iterator[Complaint]:
+    """Yield a complaint about a deviation of the distance below that of its rounded counts."""
+    least = count_m / math.sqrt(12.0)  # of a reading that is rounded to counts
     if deviation < least:
         what = (
-            f"{1e3 * deviation:g} mm is less than counts of {1e3 * step:g} mm have, "
+            f"{1e3 * deviation:g} mm is less than counts of {1e3 * count_m:g} mm have, "
             f"{1e3 * least:.2g} mm. Set what `linemate identify` measures, or that."
         )
         yield Complaint(("tracking", "distance", "deviation"), what)

@@ -21,7 +21,7 @@ from msgspec import structs
 
 from linemate.daemon.config import overlays, parameter_list
 from linemate.daemon.config import settings_tree as tree
-from linemate.daemon.config.config import LoadedConfig, mount_complaints
+from linemate.daemon.config.config import LoadedConfig, device_complaints
 from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.parameter_list import ChangeTime, Parameter
 from linemate.daemon.config.settings_tree import SettingError, Settings
@@ -108,7 +108,7 @@ class ParameterService:
         if not changed:
             return {"changed": {}}
         reason = self._disordered(wanted) or self._beyond_robot(wanted)
-        reason = reason or self._beyond_mount(wanted)
+        reason = reason or self._beyond_devices(wanted)
         reason = reason or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
@@ -160,11 +160,12 @@ class ParameterService:
         lines = [f"control.limits.{axis}.{name}: {what}" for axis, name, what in wider]
         return "; ".join(lines) or None
 
-    def _beyond_mount(self, wanted: Settings) -> str | None:
-        """Return what the mount or its sensor cannot have, None if nothing."""
+    def _beyond_devices(self, wanted: Settings) -> str | None:
+        """Return what the mount or a sensor cannot have, None if nothing."""
         if wanted.tracking is self.settings.tracking:
             return None
-        complaints = mount_complaints(self.station.config, wanted.tracking)
+        station = self.station
+        complaints = device_complaints(station.config, wanted.tracking, station.count_m)
         return "; ".join(f"{spelled(c.path)}: {c.what}" for c in complaints) or None
 
     def _changes(self, values: Mapping[str, Any], wanted: Settings) -> dict[str, dict[str, Any]]:
