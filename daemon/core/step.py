@@ -472,16 +472,13 @@ def _samples(
     inputs: Inputs, parameters: Parameters, joints: Array | None, wound: WindupState | None
 ) -> tracker_state.StepSamples:
     tcp = None if joints is None else _tcp(parameters, joints, wound)
-    wrench = inputs.wrench
-    if parameters.wrench_frame is not None:
-        wrench = tuple(wrench_frame.at_tcp(parameters.wrench_frame, sample) for sample in wrench)
     return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,
         tcp=tcp,
         tcp_stamp_ns=0 if inputs.robot is None else inputs.robot.stamp_ns,
         distance=inputs.distance,
         camera=inputs.camera,
-        wrench=wrench,
+        wrench=wrench_frame.each_at_tcp(parameters.wrench_frame, inputs.wrench),
         digital_in=0 if inputs.robot is None else inputs.robot.digital_in,
     )
 

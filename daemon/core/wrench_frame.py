@@ -8,6 +8,8 @@ Invariants:
 - Pure. Samples are recorded in the sensor's frame; each reader transforms them with the task.
 """
 
+from collections.abc import Sequence
+
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -46,6 +48,17 @@ def at_tcp(frame: WrenchFrame, sample: WrenchSample) -> WrenchSample:
     x, y, z = frame.place
     torque = (mx + y * fz - z * fy, my + z * fx - x * fz, mz + x * fy - y * fx)
     return replace(sample, force=(fx, fy, fz), torque=torque)
+
+
+def each_at_tcp(
+    frame: WrenchFrame | None, samples: Sequence[WrenchSample]
+) -> tuple[WrenchSample, ...]:
+    """Return samples with force [N] and torque [Nm] in and about the tcp.
+
+    Args:
+        frame: None if the sensor states the tcp's wrench itself.
+    """
+    return tuple(samples if frame is None else [at_tcp(frame, sample) for sample in samples])
 
 
 def force_in_sensor(frame: WrenchFrame, force: Vector3) -> Vector3:

@@ -212,9 +212,8 @@ def _images(rows: list[TraceStep], epoch: int) -> Images:
 
 
 def _wrenches(rows: list[TraceStep], epoch: int, frame: WrenchFrame | None) -> Array:
-    samples = [sample for step in rows for sample in step.inputs.wrench]
-    if frame is not None:
-        samples = [wrench_frame.at_tcp(frame, sample) for sample in samples]
+    stated = [sample for step in rows for sample in step.inputs.wrench]
+    samples = wrench_frame.each_at_tcp(frame, stated)
     stamps = _seconds([sample.stamp_ns for sample in samples], epoch)
     wrenches = np.array([(*sample.force, *sample.torque) for sample in samples], dtype=float)
     return np.column_stack((stamps, wrenches.reshape(-1, 6))).reshape(-1, 7)

@@ -27,6 +27,7 @@ from linemate.daemon.core.tracking.observation import mean_distances, mean_wrenc
 from linemate.daemon.core.tracking.settings import DistanceNoise
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.tracker_state import TrackerState
+from linemate.daemon.core.wrench_frame import each_at_tcp
 from linemate.daemon.cycle.states import MOVING
 from linemate.daemon.cycle.step_log import LogEntry
 
@@ -53,7 +54,7 @@ class DistanceLearner:
     Attributes:
         shown: of the last good assembly: information (2, 2) of what the sensor is late [s] and
             slips beyond its settings, and its product with both (2,); None before the next one.
-        moved: how far the last change moves an object before the touch [m].
+        moved: how far what the last assembly has shown moves an object before the touch [m].
     """
 
     def __init__(self) -> None:
@@ -69,7 +70,7 @@ class DistanceLearner:
 
     @property
     def spoils_touch(self) -> bool:
-        """Whether what the last change moves is more than a touch errs by itself."""
+        """Whether that is more than a touch errs by itself."""
         return self.moved > SPOILS_M
 
     def record_motion(self, entries: Sequence[LogEntry]) -> None:
@@ -91,7 +92,8 @@ class DistanceLearner:
         """Add one step's readings to the sums of its block."""
         self._is_firm = self._is_firm or state.compliance.is_firm
         self._speed = parameters.tracker.task.conveyor.nominal_speed
-        wrench, settings = mean_wrench(entry.inputs.wrench), parameters.tracker.settings
+        settings = parameters.tracker.settings
+        wrench = mean_wrench(each_at_tcp(parameters.wrench_frame, entry.inputs.wrench))
         if wrench is None or state.history is None or not settings.tactile.holds:
             return
         tcp = pose_at(state.history, wrench.stamp_ns, 2.5 * parameters.cycle_s)
@@ -129,6 +131,7 @@ class DistanceLearner:
         known = FADING * self._known + shown[0]
         off = np.linalg.solve(known, FADING * (self._known @ self._rest) + shown[1])
         late, slip = off.tolist()
+        self.moved = self._speed * abs(late - LEAD_S * slip)
         if abs(late) > LARGEST_S or abs(slip) > LARGEST_SLIP:
             return {}
         self._known, self._rest = known, off
@@ -137,7 +140,6 @@ class DistanceLearner:
         whole = round(min(max(present.late + late, -present.delay), LATEST_S), 6)
         scale = round(min(max(present.scale * (1.0 - slip), LEAST_SCALE), LARGEST_SCALE), 6)
         self._rest, self._kept = np.zeros(2), (whole, scale)
-        self.moved = self._speed * abs(late - LEAD_S * slip)
         return {LATE: whole, SCALE: scale}
 
 

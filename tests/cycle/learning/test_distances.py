@@ -13,6 +13,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking.estimation.step_measurements import distance_measurement
 from linemate.daemon.core.tracking.settings import DistanceNoise
 from linemate.daemon.core.tracking.task import Gate
+from linemate.daemon.core.wrench_frame import WrenchFrame, force_in_sensor
 from linemate.daemon.cycle.learning.distances import (
     LARGEST_S,
     LARGEST_SCALE,
@@ -100,6 +101,27 @@ def test_a_contact_that_slides_shows_nothing() -> None:
     assert shown(tuple(map(slides, wheel()))) is None
 
 
+def test_a_sensor_that_is_turned_in_the_tool_shows_the_same() -> None:
+    frame = WrenchFrame(((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)), (0.0, 0.0, 0.0))
+
+    def turned(entry: LogEntry) -> LogEntry:
+        if entry.parameters is None:
+            return entry
+        wrench = tuple(
+            structs.replace(sample, force=force_in_sensor(frame, sample.force))
+            for sample in entry.inputs.wrench
+        )
+        inputs = structs.replace(entry.inputs, wrench=wrench)
+        made = replace(entry.parameters, wrench_frame=frame)
+        return structs.replace(entry, inputs=inputs, parameters=made)
+
+    seen, plain = shown(tuple(map(turned, wheel()))), shown(wheel())
+    assert seen is not None
+    assert plain is not None
+    for of_turned, of_plain in zip(seen, plain, strict=True):
+        assert of_turned == pytest.approx(of_plain, rel=1e-6)
+
+
 def kept(
     learner: DistanceLearner, true: DistanceNoise, present: DistanceNoise, noise: float = 0.0
 ) -> DistanceNoise:
@@ -130,7 +152,9 @@ def test_values_that_were_taken_back_are_learned_as_at_first() -> None:
 
 def test_a_large_error_is_refused_and_a_value_stays_within_the_settings() -> None:
     for off in ({"late": 1.2 * LARGEST_S}, {"scale": 1.0 + 1.2 * LARGEST_SLIP}):
-        assert kept(DistanceLearner(), DistanceNoise(**off), STATED) == STATED
+        learner = DistanceLearner()
+        assert kept(learner, DistanceNoise(**off), STATED) == STATED
+        assert learner.spoils_touch
     learner, present = DistanceLearner(), STATED
     for _ in range(60):
         beyond = DistanceNoise(late=present.late + 0.02, scale=present.scale + 0.005)
