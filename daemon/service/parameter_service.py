@@ -184,10 +184,12 @@ class ParameterService:
 
     def _untimely(self, names: Mapping[str, Any]) -> str | None:
         """Return why these may not change now, None if they may."""
-        state = self.cycle.machine.state
+        state, last = self.cycle.machine.state, self.cycle.last
+        # A fault may have left the tool on the object: a new state would forget that.
+        is_held = last is not None and (last.outputs.contact or last.outputs.clamped)
         for name in names:
             rule = parameter_list.change_rule(name)
-            if state in IN_CONTACT and not rule.in_contact:
+            if (is_held or state in IN_CONTACT) and not rule.in_contact:
                 return f"{name} does not change in contact"
             if rule.change is ChangeTime.IDLE and self.station.variants:
                 return f"{name} changes only with a restart: each variant is compiled at start"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from loops import run
+from msgspec import structs
 from standing_daemon import TEXT, Standing
 
 from linemate.daemon.config import config, overlays, parameter_list
@@ -234,6 +235,21 @@ def test_the_robots_model_does_not_change_while_it_may_move(make: Make, state: S
         assert "changed" in here.assign({NOISE: 0.001})
 
     run(main())
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.IDLE])
+def test_a_tool_that_was_left_on_the_object_is_not_forgotten_for_another_model(
+    make: Make, state: State
+) -> None:
+    here = make()
+    here.cycles(5)
+    last = here.cycle.last
+    assert last is not None
+    here.cycle.last = structs.replace(last, outputs=structs.replace(last.outputs, contact=True))
+    in_state(here.cycle, state)
+    assert here.cycle.stands
+    for name in (SERVO, "tracking.tactile.contact_force"):
+        assert here.assign({name: 5.0})["refused"] == f"{name} does not change in contact"
 
 
 def test_a_compiled_change_is_not_taken_by_a_robot_that_has_moved(make: Make) -> None:
