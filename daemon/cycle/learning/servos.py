@@ -5,6 +5,7 @@ Invariants:
 - A motion is evaluated in a thread once the robot stands: it takes milliseconds.
 - A change goes through the parameter service like an operator's, so it is recorded and logged.
 - ``AdaptationSettings`` bounds it around the models that the configuration names.
+- Models that were taken back are learned as at first.
 """
 
 import math
@@ -46,6 +47,7 @@ class Learner:
         self._settings = settings
         self._identified = tuple(identified)
         self._cycle_s = cycle_s
+        self._kept: list[float] | None = None  # frequencies in force after the last change [Hz]
         self._command: tuple[float, ...] | None = None
         longest = math.ceil(LONGEST_S / cycle_s)
         self._motion: deque[tuple[tuple[float, ...], tuple[float, ...] | None]] = deque(
@@ -102,9 +104,19 @@ class Learner:
         Args:
             present: the models in force.
         """
+        frequencies = [model.frequency_hz for model in present[: len(self._identified)]]
+        if self._kept not in (None, frequencies):
+            # The estimates go on from models that an operator has taken back.
+            self.learned, self._kept = adaptation.initial(self._identified), None
+            return {}
         self.learned = estimates
+        learned = [float(f"{model.frequency_hz:.6g}") for model in estimates.models]
+        self._kept = [
+            new if abs(new / now - 1.0) > WORTH else now
+            for new, now in zip(learned, frequencies, strict=True)
+        ]
         return {
-            f"control.servos.{axis}.frequency_hz": float(f"{model.frequency_hz:.6g}")
-            for axis, (model, now) in enumerate(zip(estimates.models, present, strict=False))
-            if abs(model.frequency_hz / now.frequency_hz - 1.0) > WORTH
+            f"control.servos.{axis}.frequency_hz": new
+            for axis, (new, now) in enumerate(zip(self._kept, frequencies, strict=True))
+            if new != now
         }

@@ -62,6 +62,18 @@ def test_what_is_learned_stays_within_its_reach() -> None:
         assert found >= (1.0 - 0.04 - 1e-5) * servos[axis].frequency_hz
 
 
+def test_models_that_were_taken_back_are_learned_as_at_first() -> None:
+    servos, entries = wheel(0.9)
+    mine = learner(servos)
+    mine.record_motion(entries)
+    first = mine.keep(mine.estimate_servos(mine.motion()), servos)
+    assert first
+    mine.record_motion([entry for entry in entries if entry.state == "idle"])
+    assert mine.keep(mine.estimate_servos(mine.motion()), servos) == {}
+    mine.record_motion(entries)
+    assert mine.keep(mine.estimate_servos(mine.motion()), servos) == first
+
+
 def test_a_robot_that_did_not_move_teaches_nothing() -> None:
     servos, entries = wheel(0.9)
     mine = learner(servos)
