@@ -11,7 +11,9 @@ from typing import Any, Final
 
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL
+from linemate.daemon.core.tracking.estimation.tool_weight import carried_weights
 from linemate.daemon.core.tracking.tracker_state import TrackerState
+from linemate.daemon.core.wrench_frame import each_at_tcp
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.production.object_queue import AnnouncedPart
 
@@ -132,13 +134,13 @@ class PartRecord:
             self._contact_ns = entry.inputs.stamp_ns
         if self._contact_ns is None or not entry.outputs.contact:
             return
-        for sample in entry.inputs.wrench:
-            force = math.hypot(*sample.force)
+        forces = _contact_forces(entry)
+        for sample, force in zip(entry.inputs.wrench, forces, strict=True):
             self._force = max(self._force, force)
             if (sample.stamp_ns - self._contact_ns) * 1e-9 <= IMPACT_S:
                 self._impact = max(self._impact, force)
         if len(self._course) < COURSE and entry.inputs.stamp_ns >= self._course_ns:
-            self._course.append(round(math.hypot(*entry.inputs.wrench[-1].force), 1))
+            self._course.append(round(forces[-1], 1))
             self._course_ns = entry.inputs.stamp_ns + round(COURSE_S * 1e9)
 
     def _note_estimates(self, state: TrackerState, parameters: Parameters) -> None:
@@ -156,6 +158,16 @@ class PartRecord:
             "sigma_mm": round(1e3 * math.sqrt(max(variance, 0.0)), 3),
             "nis": round(float(state.transverse.nis), 3),
         }
+
+
+def _contact_forces(entry: LogEntry) -> list[float]:
+    """Return the force of each sample without the weight that its sensor states [N]."""
+    after, parameters, stated = entry.after, entry.parameters, entry.inputs.wrench
+    if after is None or parameters is None:
+        return [math.hypot(*sample.force) for sample in stated]
+    weights = carried_weights(parameters.tracker, after.tracker)
+    samples = each_at_tcp(parameters.wrench_frame, stated)
+    return [min(math.dist(sample.force, weight) for weight in weights) for sample in samples]
 
 
 def _latencies(events: list[tuple[float, str, str]]) -> list[dict[str, Any]]:

@@ -3,10 +3,12 @@
 import json
 from typing import Any
 
+import numpy as np
 from cell import World, parameters
 from msgspec.structs import replace
 
 from linemate.daemon.core.inputs import Inputs, MotionOrder
+from linemate.daemon.core.tracking.touch.tare import Tare
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.production.object_queue import AnnouncedPart
 from linemate.daemon.production.record import COLUMNS, COURSE, MOST_EVENTS, PartRecord, missed, row
@@ -65,6 +67,23 @@ def test_a_record_stays_bounded_however_long_a_part_takes() -> None:
     assert len(plain["force"]["course_n"]) == COURSE
     assert plain["missing"] == 5000
     assert len(json.dumps(plain)) < 8192
+
+
+def test_the_weight_of_the_tool_is_no_force_of_the_touch() -> None:
+    (step,) = entries(1)
+    assert step.after is not None
+    tracker = replace(step.after.tracker, tare=Tare(empty=np.array((0.0, -60.0, 0.0))))
+    wrench = tuple(replace(each, force=(0.0, -60.0, -25.0)) for each in step.inputs.wrench)
+    touching = replace(
+        step,
+        inputs=replace(step.inputs, wrench=wrench),
+        outputs=replace(step.outputs, contact=True),
+        after=replace(step.after, tracker=tracker),
+    )
+    record = PartRecord(PART, 0, "2026-11-23T08:00:00Z", "left")
+    record.add(touching)
+    force = finished(record, 10**9)["force"]
+    assert (force["impact_n"], force["largest_n"], force["course_n"]) == (25.0, 25.0, [25.0])
 
 
 def test_a_change_is_timed_from_tentative_to_confirmed() -> None:
