@@ -1,0 +1,204 @@
+"""One sampling step: a hold, a retreat, and a tool that is left on the object."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from cell import SPEED, World, robot_sample
+from msgspec.structs import replace
+from step_runs import Assembly, P, assert_within, tracking
+
+from linemate.daemon.core import rotations
+from linemate.daemon.core import step as stepping
+from linemate.daemon.core.inputs import MotionOrder
+from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL, Outputs, step
+from linemate.daemon.core.tracking.goal import rest_state
+from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.touch.withdrawal import WAY
+
+
+def test_hold_in_motion_comes_to_rest_within_the_limits_and_stays_there(assembly: Assembly) -> None:
+    k = next(i for i, outputs in enumerate(assembly.outputs) if (outputs.task_time or 0.0) > 2.0)
+    before = [outputs.command for outputs in assembly.outputs[:k]]
+    state = assembly.states[k]
+    assert np.abs(state.control.limiter.speed).max() > 0.05
+    commands = []
+    for inputs in assembly.inputs[k : k + 80]:
+        state, outputs = step(state, replace(inputs, order=MotionOrder.HOLD), P)
+        commands.append(outputs.command)
+    assert_within([*before, *commands])
+    assert len(set(commands[-20:])) == 1
+    assert not state.moving
+
+
+def test_after_a_hold_the_task_can_start_again_only_from_its_first_pose() -> None:
+    world = tracking(2.4)
+    world.run(0.8, MotionOrder.HOLD)
+    assert world.outputs is not None
+    assert world.outputs.task_time is None
+    assert world.outputs.ready is not None
+    assert "away from the task's first pose" in world.outputs.ready
+
+
+def test_a_retreat_withdraws_straight_back_and_says_when_it_is_over() -> None:
+    world = tracking(2.4)
+    outputs = world.outputs
+    assert outputs is not None
+    commands = [outputs.command]
+    world.run(0.3, MotionOrder.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs is not None
+    assert not world.outputs.finished
+    assert world.outputs.phase is Phase.RETREAT
+    # A clamp that opens in free air drops what it holds.
+    assert world.outputs.digital_out == 0
+    world.run(1.2, MotionOrder.RETREAT, each=lambda o: commands.append(o.command))
+    assert world.outputs.finished
+    assert world.outputs.sensed is not None
+    tool = rotations.matrix(world.outputs.target[3:])
+    way = tool.T @ (np.array(world.outputs.target[:3]) - world.outputs.sensed[:3])
+    assert way[2] < -0.1
+    assert np.isfinite(commands).all()
+
+
+@pytest.mark.parametrize("lost", [3, 8])
+def test_a_retreat_that_lost_its_commands_goes_on_from_rest(lost: int) -> None:
+    world = tracking(2.4)
+    world.run(0.24, MotionOrder.RETREAT)
+    assert world.outputs is not None
+    stands = world.outputs.command
+    for _ in range(lost):
+        world.step(MotionOrder.RETREAT, sent=False, applied=stands)
+    assert world.outputs.command == stands
+    gone = world.state.tracker.gone
+    assert 0.0 < gone < WAY
+    held = set()
+    world.run(1.2, MotionOrder.RETREAT, each=lambda o: held.add(o.held))
+    assert held <= {None, "limited: tcp"}
+    assert world.outputs.finished
+    assert world.state.tracker.gone == gone
+
+
+def test_a_retreat_goes_on_for_a_second_towards_where_the_programme_leaves_the_object() -> None:
+    world = on_the_object().fork()
+    for _ in range(round(1.3 / P.cycle_s)):
+        inputs = world.inputs(MotionOrder.RETREAT)
+        assert inputs.robot is not None
+        world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
+    assert world.outputs is not None
+    assert world.outputs.finished
+    assert -depth(world.outputs) == pytest.approx(WAY + world.state.tracker.further, abs=0.01)
+    # The shipped body's plane comes 0.18 m nearer as it goes on past the tool.
+    assert -depth(world.outputs) > 0.21
+
+
+def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:
+    world = tracking(2.4)
+    world.run(0.06, MotionOrder.HOLD)
+    speeds = [np.abs(world.state.control.limiter.speed).max()]
+    assert world.state.moving
+    while world.state.tracker.anchor is None:
+        world.step(MotionOrder.RETREAT)
+        speeds.append(np.abs(world.state.control.limiter.speed).max())
+    *braking, _ = speeds
+    assert (np.diff(braking) <= 1e-9).all()
+    assert braking[-1] == 0.0
+    world.run(1.2, MotionOrder.RETREAT)
+    assert world.outputs is not None
+    assert world.outputs.finished
+
+
+@pytest.mark.row
+@pytest.mark.long
+@pytest.mark.parametrize("begun", [5.3, 5.5, 5.6])
+def test_a_retreat_before_contact_stands_still_and_withdraws(begun: float) -> None:
+    """Led on towards the object, the tool would come to it: 0.2 s later it touches."""
+    world = tracking(begun)
+    assert world.outputs is not None
+    assert not world.outputs.contact
+    assert world.outputs.task_time is not None
+    assert world.outputs.task_time < P.tracker.reference.contact_time
+    outcome: list[Outputs] = []
+    # A tool that may be clamped waits for its clamp's time-out of 2 s.
+    world.run(3.2, MotionOrder.RETREAT, each=outcome.append)
+    assert {o.task_time for o in outcome} == {world.outputs.task_time}
+    depths = [depth(o) for o in outcome]
+    # Commands that were sent before go on for a while.
+    assert max(depths) < -0.001
+    assert depths[-1] < -0.1
+    assert outcome[-1].finished
+
+
+def depth(outputs: Outputs) -> float:
+    """Return how far the commanded tool is beyond the object, along its own axis [m]."""
+    assert outputs.part is not None
+    tool = rotations.matrix(outputs.target[3:])
+    return float((tool.T @ (np.array(outputs.target[:3]) - outputs.part[:3]))[2])
+
+
+def test_no_screws_are_ordered_in_a_retreat() -> None:
+    world = tracking(9.0)
+    assert world.outputs is not None
+    assert world.outputs.digital_out == FIX_SCREWS
+    outcome: list[Outputs] = []
+    world.run(0.5, MotionOrder.RETREAT, each=outcome.append)
+    assert {o.digital_out for o in outcome} == {RELEASE_WHEEL}
+
+
+@cache
+def on_the_object() -> World:
+    """A tool that was clamped for half a second when the robot was ordered to hold."""
+    world = tracking(7.0)
+    assert world.outputs is not None
+    assert world.outputs.contact
+    world.run(0.5, MotionOrder.HOLD)
+    return world
+
+
+def test_a_tool_that_is_held_on_the_object_is_asked_to_release_it_and_stays_in_contact() -> None:
+    outputs = on_the_object().outputs
+    assert outputs is not None
+    assert outputs.digital_out == RELEASE_WHEEL
+    assert outputs.contact
+
+
+def test_from_there_it_follows_the_object_and_withdraws_once_it_is_released() -> None:
+    world = on_the_object().fork()
+    world.run(0.4, MotionOrder.RETREAT)
+    assert world.outputs is not None
+    assert world.outputs.clamped
+    speed = np.array(world.outputs.target[:3])
+    world.step(MotionOrder.RETREAT)
+    moved = np.array(world.outputs.target[:3]) - speed
+    assert np.linalg.norm(moved) / P.cycle_s == pytest.approx(SPEED, rel=0.3)
+    for _ in range(round(1.0 / P.cycle_s)):
+        inputs = world.inputs(MotionOrder.RETREAT)
+        assert inputs.robot is not None
+        world.take(replace(inputs, robot=replace(inputs.robot, digital_in=2)))
+    assert world.outputs.finished
+    assert not world.outputs.contact
+
+
+@pytest.mark.parametrize(
+    ("withdrawn", "is_on_it"),
+    [(None, True), (0.3, True), (P.tracker.withdrawal.duration + 0.01, False)],
+)
+def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
+    withdrawn: float | None, *, is_on_it: bool
+) -> None:
+    there = replace(on_the_object().state.tracker, withdrawn=withdrawn)
+    rested = rest_state.rest(P.tracker, there, there.poses[0], 0.0)
+    assert rested.contact == is_on_it
+    assert rested.started == is_on_it
+    assert rested.withdrawn is None
+
+
+def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> None:
+    world = on_the_object()
+    there = robot_sample(world.stamp_ns, world.command)
+    assert stepping.is_engaged(world.state, P, there)
+    state = stepping.resumed(P, world.state, there)
+    assert state.tracker.contact
+    assert state.tracker.conveyor is world.state.tracker.conveyor
+    assert not state.moving
+    away = robot_sample(world.stamp_ns, (world.command[0] + 0.1, *world.command[1:]))
+    assert not stepping.is_engaged(world.state, P, away)
