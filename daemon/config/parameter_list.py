@@ -34,15 +34,22 @@ class ChangeTime(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChangeRule:
-    """When a parameter may change, and whether also in contact."""
+    """When a parameter may change, and whether also in contact, and in motion without it."""
 
     change: ChangeTime
     in_contact: bool = True
+    in_motion: bool = True
+
+    @property
+    def shown(self) -> ChangeTime:
+        """When it may change as operators see it, with or without the compiler."""
+        return self.change if self.in_motion else ChangeTime.IDLE
 
 
 _LIVE: Final = ChangeRule(ChangeTime.LIVE)
 _NOT_IN_CONTACT: Final = ChangeRule(ChangeTime.LIVE, in_contact=False)
-_IDLE: Final = ChangeRule(ChangeTime.IDLE, in_contact=False)
+_AT_REST: Final = ChangeRule(ChangeTime.LIVE, in_contact=False, in_motion=False)
+_IDLE: Final = ChangeRule(ChangeTime.IDLE, in_contact=False, in_motion=False)
 _RESTART: Final = ChangeRule(ChangeTime.RESTART, in_contact=False)
 
 # Rules by name or beginning of a name; the longest counts, all others need a restart. A parameter
@@ -52,8 +59,8 @@ RULES: Final[dict[str, ChangeRule]] = {
     "tracking": _IDLE,
     "tracking.distance.deviation": _LIVE,
     "tracking.distance.gate": _LIVE,
-    "tracking.distance.late": _NOT_IN_CONTACT,
-    "tracking.distance.scale": _NOT_IN_CONTACT,
+    "tracking.distance.late": _AT_REST,  # the object would jump by its speed times this
+    "tracking.distance.scale": _AT_REST,
     "tracking.camera": _LIVE,
     "tracking.camera.blind_below": _IDLE,  # the plan's waypoint moves with it
     "tracking.camera.lasting": _IDLE,  # the filter has states for it, or none
@@ -121,10 +128,10 @@ def list_parameters(config: Config) -> Iterator[Parameter]:
             "name": name,
             "value": value,
             "default": defaults.get(name, node.get("default")),
-            "live": rule.change is ChangeTime.LIVE,
-            "change": rule.change.value,
+            "live": rule.shown is ChangeTime.LIVE,
+            "change": rule.shown.value,
         }
-        if rule.change is ChangeTime.LIVE and not rule.in_contact:
+        if rule.shown is ChangeTime.LIVE and not rule.in_contact:
             parameter["in_contact"] = False
         yield parameter | _describe(node, _schema())
 

@@ -193,7 +193,7 @@ class ParameterService:
                 return f"{name} does not change in contact"
             if rule.change is ChangeTime.IDLE and self.station.variants:
                 return f"{name} changes only with a restart: each variant is compiled at start"
-            if rule.change is ChangeTime.IDLE and not self.cycle.stands:
+            if not (rule.in_motion or self.cycle.stands):
                 return f"{name} changes only while the robot stands idle, not in {state.upper()}"
         if self._compiling is not None:
             return BUSY

@@ -226,7 +226,8 @@ def test_the_robots_model_does_not_change_while_it_may_move(make: Make, state: S
         here = make()
         here.cycles(5)
         in_state(here.cycle, state)
-        assert SERVO in here.assign({SERVO: 5.0})["refused"]
+        for name, value in ((SERVO, 5.0), ("tracking.distance.scale", 1.01)):
+            assert name in here.assign({name: value})["refused"]
         if state is State.CONTACT:
             refused = here.assign({"tracking.tactile.contact_force": 20.0})["refused"]
             assert "not change in contact" in refused
