@@ -11,6 +11,7 @@ from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
 from linemate.daemon.core.tracking.estimation.step_measurements import distance_measurement
 from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
+from linemate.daemon.core.tracking.observation import mean_distances
 from linemate.daemon.core.tracking.reference import last_step
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
@@ -54,11 +55,13 @@ def is_evaluated(tracker: Tracker, state: TrackerState) -> bool:
 
 def _compare_distances(tracker: Tracker, state: TrackerState, samples: StepSamples) -> TrackerState:
     """Return the state with its past predictions compared with the readings of one step."""
-    monitor = state.monitor
-    for sample in samples.distance:
-        row = distance_measurement(tracker, samples.stamp_ns, sample)
+    monitor, latest = state.monitor, state.distance_noise.latest
+    # A reading of 1 kHz, or one of several cycles, counts for the time since the one before.
+    spacing_s = max(latest[0][0] - latest[-1][0], 0.0) if latest else 0.0
+    for block in mean_distances(samples.distance):
+        row = distance_measurement(tracker, samples.stamp_ns, *block)
         stamp_ns = samples.stamp_ns - round(row.delay * 1e9)
-        monitor = prediction_error.compare_distance(monitor, stamp_ns, row.value, tracker.cycle_s)
+        monitor = prediction_error.compare_distance(monitor, stamp_ns, row.value, spacing_s)
     return state if monitor is state.monitor else replace(state, monitor=monitor)
 
 

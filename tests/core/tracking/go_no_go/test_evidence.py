@@ -8,6 +8,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
+from linemate.daemon.core.tracking.estimation.step_measurements import distance_rows
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.go_no_go.decision import (
     DEVIATIONS,
@@ -18,11 +19,17 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     Reason,
     Zone,
 )
+from linemate.daemon.core.tracking.go_no_go.prediction_error import (
+    DISTANCE_S,
+    LeadMonitor,
+    PredictionMonitor,
+)
 from linemate.daemon.core.tracking.go_no_go.target_shift import TargetShift
 from linemate.daemon.core.tracking.goal.rest_state import at_rest
 from linemate.daemon.core.tracking.observation import PoseMeasurement
 from linemate.daemon.core.tracking.touch.contact import ContactState
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
+from linemate.protocol.stamped_samples import DistanceSample
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario
 
@@ -136,6 +143,26 @@ def test_what_is_seen_of_a_robot_that_does_not_track_counts(tracker: Tracker) ->
         state = evidence.note(tracker, replace(state, pose_ns=now_ns), STOPS)
     assert state.steady_s > 1.0
     assert not evidence.is_look_due(tracker, state, STOPS)
+
+
+@pytest.mark.parametrize("period_ns", [1_000_000, 4_000_000, 12_000_000, 24_000_000])
+def test_the_mean_error_of_the_distance_has_the_same_time_constant_at_any_rate(
+    tracker: Tracker, period_ns: int
+) -> None:
+    stamps = tuple(range(-(10**9), 2 * 10**9, 36_000_000))
+    lead = LeadMonitor(stamps, (np.zeros(6),) * len(stamps), (0.0,) * len(stamps))
+    state = replace(at_rest(tracker, np.zeros(6), 0.0), monitor=PredictionMonitor((lead, lead)))
+    off = tracker.task.conveyor.start_position - tracker.reference.origin[1] + 0.001
+    for now_ns in range(T0_NS, round(1e9 * DISTANCE_S) + T0_NS, T0_NS):
+        first = (now_ns - T0_NS) // period_ns + 1
+        due = range(first * period_ns, now_ns + 1, period_ns)
+        readings = tuple(DistanceSample(ns, off, 1.0) for ns in due)
+        samples = StepSamples(now_ns, None, now_ns, readings, (), (), 0)
+        _, noise = distance_rows(tracker, state, samples)
+        state = replace(state, distance_noise=noise)
+        state = evidence._compare_distances(tracker, state, samples)
+    share = 1.0 - math.exp(-1.0)
+    assert state.monitor.distance == pytest.approx(0.001 * share, rel=0.15)
 
 
 def changed(tracker: Tracker, view: ConveyorEstimate, what: str) -> TrackerState:
