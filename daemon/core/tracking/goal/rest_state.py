@@ -50,6 +50,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         )
     return replace(
         state,
+        transverse=state.transverse and replace(state.transverse, felt=None),
         poses=poses,
         axis=linear_axis.at_rest(axis, tracker.axis_steps),
         departure=None,
