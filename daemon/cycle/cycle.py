@@ -36,9 +36,10 @@ from linemate.protocol.controller_link import (
     ReadyReply,
 )
 from linemate.protocol.exchange import Exchange, ExchangeState, TelegramDecision, TelegramKind
-from linemate.protocol.stamped_samples import RobotSample, Vector6
+from linemate.protocol.stamped_samples import AXES, RobotSample
 
 LONGEST_JUMP = 0.05  # of a joint in the expected telegram [rad]
+OVERSPEED = 2.0  # of an axis over its limit: servos overshoot a command by up to a third
 
 _OPENS = frozenset({TelegramKind.FIRST, TelegramKind.NEW_SESSION})
 _SHOWN = (
@@ -96,7 +97,7 @@ class Cycle(RestingStepper):
         self._is_running = self._was_preparing = False
         self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
         self._state_at_begin: stepping.StepState | None = None
-        self._joints: Vector6 | None = None
+        self._arrived: RobotSample | None = None  # the last telegram that was followed
 
     def on_telegram(
         self, data: bytes, stamp_ns: int, peer: Hashable = None, *, is_answered: bool = False
@@ -211,7 +212,7 @@ class Cycle(RestingStepper):
     def _predict(self) -> ReadyReply | None:
         """Return the ready reply and the telegram that would be the ordinary next one."""
         ready, rest = self._ready, self._rest_now
-        if self._joints is None or (ready is None and rest is None):
+        if self._arrived is None or (ready is None and rest is None):
             return None
         if ready is not None and not ready.entry.inputs.sent:
             return None
@@ -219,7 +220,7 @@ class Cycle(RestingStepper):
         if foreseen is None or self.session.is_interrupted or self.session.may_be_late:
             return None
         counter, peer = foreseen
-        joints = self._joints if rest is None else rest.robot.joints
+        joints = self._arrived.joints if rest is None else rest.robot.joints
         reach = LONGEST_JUMP if rest is None else STILL
         expected = self._link.expect(
             counter, self.session.delay, joints, reach, self.session.would_be_lost
@@ -243,6 +244,12 @@ class Cycle(RestingStepper):
         if self._rest_now is not None:
             self._end_rest_by(self._rest_now, telegram, decision)
         self.session.cycles_since_command += decision.missed + 1
+        jump = None if decision.kind in _OPENS else self._jump(robot, decision.missed + 1)
+        if jump is not None:
+            self.refused += 1
+            self.last_refusal = jump
+            self.session.refuse(peer)
+            return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
         if telegram.unready is not None:
             self.session.decline(telegram.unready, self._axes(robot), peer)
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
@@ -264,8 +271,31 @@ class Cycle(RestingStepper):
         reply = self._answer(telegram, stamp_ns, decision)
         self._note_reply(arrived, peer)
         self._robot = robot
-        self._joints = robot.joints
+        self._arrived = arrived
         return reply.head + telegram.echo + reply.tail
+
+    def _jump(self, robot: RobotSample, cycles: int) -> str | None:
+        """Return which axis of a robot that is led cannot have come to where it is reported.
+
+        Args:
+            cycles: since the telegram before, by their counters.
+        """
+        before, period = self._arrived, self.parameters.cycle_s
+        if before is None or not (self._is_led and self.session.is_proven):
+            return None
+        speeds = self.parameters.controller.limits.speed.tolist()
+        axes = zip(AXES, self._axes(before), self._axes(robot), speeds, strict=False)
+        for name, old, new, speed in axes:
+            reach = cycles * max(LONGEST_JUMP, OVERSPEED * speed * period)
+            if not abs(new - old) <= reach:
+                return f"{name} jumps from {old:.3f} to {new:.3f} in {cycles} cycles (rad, m)"
+        return None
+
+    @property
+    def _is_led(self) -> bool:
+        """Whether the robot has got a command of its session, or is to get one."""
+        is_held = states.order(self.operating.machine) is MotionOrder.HOLD
+        return not is_held or self.session.applied != self.session.reference
 
     def _note_reply(self, arrived: RobotSample, peer: Hashable) -> None:
         """Note the reply to a telegram that is proven to be the program's."""
@@ -371,8 +401,7 @@ class Cycle(RestingStepper):
         A session may begin while the robot still comes to rest.
         """
         axes, start = self._axes(robot), self.session.reference
-        machine = self.operating.machine
-        if self.session.applied != start or states.order(machine) is not MotionOrder.HOLD:
+        if self._is_led:
             self.following.check_moving(axes, self.operating.settings.follow_tolerance)
         elif self.following.check_resting(axes, start):
             self._open_session(robot, axes, axes)

@@ -3,7 +3,7 @@
 import dataclasses
 
 import pytest
-from cycle_station import Station
+from cycle_station import CODEC, PERIOD, Station
 from msgspec.structs import replace
 
 from linemate.daemon.config.task_file import Task
@@ -29,8 +29,50 @@ def test_a_robot_that_does_not_go_where_it_is_sent_is_held_with_the_axis_named(
     assert station.cycle.machine.state in {State.HOLD, State.FAULT}
     assert station.cycle.machine.latched
     assert "it was sent to" in station.cycle.status()["astray"]
-    station.run(3)
+    for _ in range(3):
+        station.exchange()
+        station.axes = braked
     assert station.cycle.machine.state is State.FAULT
+
+
+@pytest.mark.parametrize("axis", [0, 6])
+@pytest.mark.parametrize("cycles", [1, 2])
+def test_an_axis_that_jumps_is_no_reading_and_the_motion_goes_on_after_it(
+    moving: Station, axis: int, cycles: int
+) -> None:
+    """Followed, A1 off by 33 degrees in contact pulled at the mount with 992 N."""
+    session, error = moving.cycle.openings, moving.cycle.following.error
+    for _ in range(cycles):
+        moving.feed()
+        axes = [q + 0.576 * (n == axis) for n, q in enumerate(moving.axes)]
+        forged = moving.telegram(joints=tuple(axes[:6]), external=(axes[6], *(0.0,) * 5))
+        reply = moving.cycle.on_telegram(forged, moving.stamp_ns)
+        assert reply is not None
+        assert CODEC.parse_sensor(reply).joints is None
+        moving.next()
+    assert moving.cycle.refused == cycles
+    assert "jumps from" in (moving.cycle.last_refusal or "")
+    moving.run(20)
+    assert moving.cycle.refused == cycles
+    assert moving.cycle.machine.state is State.TRACK
+    assert (moving.cycle.openings, moving.cycle.following.error) == (session, error)
+
+
+@pytest.mark.parametrize("pause_s", [0.4, 2.1])
+def test_a_robot_that_was_moved_in_a_pause_begins_a_new_session(
+    moving: Station, pause_s: float
+) -> None:
+    moving.next(round(pause_s * 1e9 / PERIOD))
+    moving.ipoc, moving.delay = 77, 0
+    moving.axes = moving.start = (moving.axes[0] + 0.576, *moving.axes[1:])
+    openings = moving.cycle.openings
+    for _ in range(30):
+        moving.feed()
+        moving.cycle.on_telegram(moving.telegram(), moving.stamp_ns)
+        moving.next()
+    assert moving.cycle.openings > openings
+    assert moving.cycle.session.reference[0] == pytest.approx(moving.axes[0], abs=1e-5)
+    assert moving.cycle.refused == 0
 
 
 @pytest.mark.parametrize(("forces", "retreats"), [((900.0,), False), ((900.0, 900.0), True)])

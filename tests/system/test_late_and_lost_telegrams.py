@@ -3,6 +3,7 @@
 Rows X7 and X8 of the catalogue. The limits of the robot are judged by the oracles of every run.
 """
 
+import re
 from functools import cache
 
 import numpy as np
@@ -119,6 +120,30 @@ def test_x8_next_to_a_running_line_the_target_is_regained_without_tearing_at_the
 def test_x8_next_to_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
     found = peaks("wheel", 12, {7.5: 0.084, 8.3: 0.14, 9.5: 0.14, 11.0: 0.14})
     assert max(found.values()) < FORCE_N
+
+
+_A1 = re.compile(rb'(?<=<AIPos A1=")[-.0-9]+')
+
+
+@pytest.mark.parametrize("cycles", [1, 7])
+def test_telegrams_whose_a1_is_33_degrees_off_in_contact_are_not_followed(cycles: int) -> None:
+    """Followed, one of them pulled at the mount with 859 N, and seven with 740 N."""
+    run = Lockstep(setup.make("wheel", cycle_ms=12), 0)
+    way, carry, begin_s = run._ways[0], run._ways[0].carry, 8.0
+
+    def forged(data: bytes, time_s: float) -> list[tuple[float, bytes]]:
+        if begin_s - 1e-9 <= time_s < begin_s + (cycles - 0.5) * 0.012:
+            data = _A1.sub(lambda a1: b"%.4f" % (float(a1[0]) + 33.0), data)
+        return carry(data, time_s)
+
+    way.carry = forged  # type: ignore[method-assign]
+    most_n = 0.0
+    while run.world.time_s < begin_s + 1.0 and run.turn():
+        most_n = max(most_n, force(run.world))
+    assert run.world.collision is None
+    assert run.cycle.machine.state is State.CONTACT
+    assert run.cycle.refused == cycles
+    assert most_n < FORCE_N
 
 
 STANDS = ConveyorEvent("stop", -0.1, 0.104)
