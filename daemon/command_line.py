@@ -157,11 +157,24 @@ def check_output_file(path: Path, option: str = "--out") -> None:
 class CommandLine(argparse.ArgumentParser):
     """A parser whose errors are one line, with the known names near a wrong one."""
 
+    _given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and keep the arguments for ``error``."""
+        self._given = sys.argv[1:] if args is None else [*args]
+        return super().parse_known_args(args, namespace)
+
     def error(self, message: str) -> NoReturn:
         """End with USAGE."""
         unknown = message.partition("unrecognized arguments: ")[2].partition(" ")[0]
+        known = list(_options(self))
+        if " required" in message:
+            # argparse does not come to an option that it does not know, as of ``--confg file``.
+            options = (given.partition("=")[0] for given in self._given if given[:2] == "--")
+            wrong = (name for name in options if not any(o.startswith(name) for o in known))
+            unknown = next(wrong, "")
         if unknown.startswith("-"):
-            message += near_names(unknown.partition("=")[0], _options(self))
+            message += near_names(unknown.partition("=")[0], known)
         self.exit(USAGE, f"{self.prog}: {message}; see {self.prog} --help\n")
 
     def _get_formatter(self) -> argparse.HelpFormatter:

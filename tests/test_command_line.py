@@ -34,6 +34,7 @@ def test_a_program_prints_its_name_and_the_installed_version(program: str, capsy
         ("linemate", "status --wach", "near is --watch"),
         ("linemate", "param gett x", "near is get"),
         ("linemated", "--config x --chek", "near are --check"),
+        ("linemated", "--confg x", "near are --config"),
         ("linemate-sim", "demmo", "near is demo"),
         ("linemate-sim", "run --variant oracel", "near is oracle"),
         ("linemate-sim", "campaign --variants no-clases", "near is no-classes"),

@@ -153,8 +153,8 @@ class Server:
             await asyncio.gather(gone, return_exceptions=True)
 
     def _is_ours(self, host: str) -> bool:
-        name = host.rsplit(":", 1)[0] if not host.endswith("]") else host
-        if name in HOSTS or name.lower() in self.names or name.strip("[]") == self.host:
+        name = (host.rsplit(":", 1)[0] if not host.endswith("]") else host).lower()
+        if name in HOSTS or name in self.names or name.strip("[]") == self.host:
             return True
         # It cannot know its names for other hosts, but a numeric address cannot be rebound.
         if not ipaddress.ip_address(self.host).is_loopback:

@@ -79,6 +79,7 @@ def test_a_page_is_given_with_its_kind_and_length_and_closed() -> None:
         (get("/", "evil.example"), b"421"),
         (get("/", "127.0.0.1.evil.example:80"), b"421"),
         (get("/", "localhost:9"), b"200"),
+        (get("/", "LocalHost:9"), b"200"),
         (get("/", "[::1]:9"), b"200"),
         (get("http://[bad"), b"400"),
         (get("/?" + "&".join("a=1" for _ in range(20))), b"400"),

@@ -22,6 +22,7 @@ END_S: Final = 2.0  # for leaving the domain; the process ends then in any case
 LOOK_S: Final = 0.5  # between two looks for a signal
 REPORT_S: Final = 10.0  # between two lines about refused poses
 DOMAIN: Final = "ROS_DOMAIN_ID"
+_SOURCE: Final = re.compile(r"\s+at \S+\.rs:\d+\.?")
 
 
 def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
@@ -90,7 +91,9 @@ def main(args: argparse.Namespace) -> int:
     try:
         session = open_session(endpoint, is_router=not args.listen)
     except zenoh.ZError as error:
-        raise UsageError(" ".join(str(error).split())) from error
+        raise UsageError(
+            refused_session(str(error), endpoint, is_router=not args.listen)
+        ) from error
     with session:
         node = ros2_node.Ros2Node(session, domain, args.prefix, camera)
         feed = DaemonFeed(
@@ -115,6 +118,18 @@ def main(args: argparse.Namespace) -> int:
         if camera is not None:
             camera.close()
     return OK
+
+
+def refused_session(text: str, endpoint: str, *, is_router: bool) -> str:
+    """Return why zenoh has opened no session and what to do.
+
+    Args:
+        text: of zenoh's error, which names lines of its source.
+    """
+    reason = " ".join(_SOURCE.sub("", text).split()).rstrip(".!")
+    if is_router:
+        reason += ". Start a router there (rmw_zenohd), name another with --connect, or --listen"
+    return f"{endpoint}: {reason}"
 
 
 def open_session(endpoint: str, *, is_router: bool) -> "zenoh.Session":

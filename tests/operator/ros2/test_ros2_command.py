@@ -19,7 +19,7 @@ pytest.importorskip("zenoh_ros2_sdk", reason="zenoh-ros2-sdk is in the extra dev
 from rerun import LINEMATE, Rerun, rerun
 
 from linemate.daemon.operator import main as tool
-from linemate.daemon.operator.ros2.ros2_command import is_loopback
+from linemate.daemon.operator.ros2.ros2_command import ROUTER, is_loopback, refused_session
 from linemate.protocol.sensors.camera_codec import CameraDecoder, CameraError
 
 WITNESS = Path(__file__).with_name("foreign_node.py")
@@ -117,6 +117,17 @@ def test_a_wrong_option_is_refused(words: list[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         tool.main(["ros2", *words])
     assert ended.value.code == 2
+
+
+def test_without_a_router_the_reason_is_one_sentence_without_a_place_in_a_source() -> None:
+    place = "at /root/.cargo/git/zenoh/src/net/runtime/orchestrator.rs:447."
+    text = f"Unable to connect to any of [Single({ROUTER})]!  {place}"
+    refused = refused_session(text, ROUTER, is_router=True)
+    assert refused.startswith(f"{ROUTER}: Unable to connect to any of [Single({ROUTER})]. Start")
+    inner = f"Can not listen: [in use (os error 98) {place}] {place}"
+    assert refused_session(inner, "tcp/127.0.0.1:9", is_router=False) == (
+        "tcp/127.0.0.1:9: Can not listen: [in use (os error 98)]"
+    )
 
 
 def test_a_wrong_domain_of_the_environment_is_refused(
