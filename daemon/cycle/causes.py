@@ -204,7 +204,7 @@ def _position(_: Signals, evidence: Evidence) -> Explanation:
         return (
             "camera and distance contradict each other: "
             f"{_heard('camera', evidence)}, {_heard('distance', evidence)}",
-            "Check the camera's pose and clock, and object.nominal.",
+            "Check the camera's pose and clock, object.nominal, and the axes' signs in the URDF.",
         )
     limit = watch.largest_position_age(settings, evidence.counts.state, facts)
     if _age_s(facts.position_ns, facts.stamp_ns) <= limit:

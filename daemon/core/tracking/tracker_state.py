@@ -185,6 +185,7 @@ class TrackerState(Struct, frozen=True, eq=False):
         pull_power: mean square of that force [N^2].
         search: for an object that is farther away than estimated.
         pose_ns: exposure of the camera's last accepted pose [ns], None before.
+        placed: the camera has seen the object where the distance sensor leads it to.
         blind_s: time since the last reading of the distance sensor [s].
         stood: time without a command, in which the robot stood still [s].
         clock_stood: time for which the task's clock has stood at its gate [s].
@@ -261,6 +262,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     pull_power: float = 0.0
     search: guard.ContactSearch = guard.NO_SEARCH
     pose_ns: int | None = None
+    placed: bool = False
     blind_s: float = 0.0
     stood: float = 0.0
     clock_stood: float = 0.0

@@ -10,7 +10,7 @@ from linemate.daemon.core import parameters, rotations
 from linemate.daemon.core.tracking.estimation.estimate import estimate
 from linemate.daemon.core.tracking.estimation.tool_acceleration import at_delay
 from linemate.daemon.core.tracking.goal.rest_state import at_rest
-from linemate.daemon.core.tracking.observation import PoseMeasurement
+from linemate.daemon.core.tracking.observation import PoseMeasurement, remember
 from linemate.daemon.core.tracking.touch.compliance import Compliance
 from linemate.daemon.core.tracking.touch.firmness import Swing
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
@@ -62,6 +62,47 @@ def test_a_first_image_of_an_object_turned_too_far_is_refused(
         assert rejected in {0, refused}
     assert rejected == refused
     assert (state.transverse is None) == bool(refused)
+
+
+@pytest.mark.parametrize(
+    ("off", "placed", "started", "blind_s", "refused"),
+    [
+        (0.06, True, True, 0.0, 1),
+        (-0.06, True, True, 0.0, 1),
+        (0.04, True, True, 0.0, 0),
+        (0.06, False, True, 0.0, 0),
+        (0.06, True, False, 0.0, 0),
+        (0.06, True, True, 0.2, 0),
+    ],
+)
+def test_an_image_of_an_object_that_has_moved_farther_than_it_sways_is_refused(
+    off: float, placed: bool, started: bool, blind_s: float, refused: int
+) -> None:
+    """With A1 of the URDF counted the other way the filter followed the camera by 0.14 m."""
+    cell = Setup(Scenario())
+    tracker = parameters.build(cell.task, cell.urdf, cell.tracking, cell.control, 0.012).tracker
+    place, mounted, now_ns = tracker.reference.origin, tracker.camera[1], 10**9
+    tcp = np.concatenate((place, np.zeros(3)))
+    history = remember(None, now_ns - 12_000_000, tcp, 9)
+    state = structs.replace(
+        contact(tracker),
+        contact=False,
+        history=remember(history, now_ns, tcp, 9),
+        placed=placed,
+        started=started,
+        blind_s=blind_s,
+    )
+    straight = -tracker.camera[0] + np.array((0.0, off, 0.0))
+    image = CameraSample(
+        now_ns, now_ns, "", "camera", "", 1,
+        tuple((mounted.T @ straight).tolist()), rotations.quaternion(mounted.T),
+    )  # fmt: skip
+    after, _, rejected, _ = estimate(
+        tracker, state, StepSamples(now_ns, tcp, now_ns, (), (image,), (), 0)
+    )
+    assert rejected == refused
+    assert after.placed is (placed or abs(off) < 0.05)
+    assert (after.pose_ns is None) is bool(refused)
 
 
 def felt(force: tuple[float, float, float], twist: float, *, holds: bool) -> np.ndarray:

@@ -13,6 +13,7 @@ from linemate.daemon.core.tracking.across.body_sway import NO_SWAY
 from linemate.daemon.core.tracking.across.transverse_state import TransverseState
 from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
+from linemate.daemon.core.tracking.classifiers.sway_bank import FARTHEST
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, PositionMeasurement, Source
 from linemate.daemon.core.tracking.estimation import bolt_corrections
 from linemate.daemon.core.tracking.estimation.deflection import felt_pose, felt_row
@@ -36,6 +37,7 @@ from linemate.daemon.core.tracking.touch import compliance, tare
 from linemate.daemon.core.tracking.tracker_state import StepSamples, Tracker, TrackerState
 
 UNITS_S = 0.35  # for which positions of the conveyor unit are remembered [s]
+BLIND_S = 0.1  # without a distance, after which the camera alone shows the object [s]
 FIRST_READINGS = 4  # readings of the distance sensor that start the classifier
 FIRST_SPREAD = 0.015  # largest range of these readings: none is an outlier [m]
 LARGEST_TURN = 0.8  # of the object from its nominal pose, before it is known [rad]: bodies by 0.4
@@ -64,6 +66,8 @@ def estimate(
     seen, waiting, rejected, pose_ns = _see(
         tracker, state, transverse, first_poses, rows, oscillation, samples.stamp_ns
     )
+    rows, placed, elsewhere = _placed_rows(tracker, state, rows)
+    rejected += elsewhere
     leaning = bolt_corrections.average_force(tracker, state, wrench)
     transverse = bolt_corrections.correct_across(
         tracker, state, seen, history, samples, wrench, leaning, rows
@@ -84,7 +88,8 @@ def estimate(
         readings=readings,
         pull=pull,
         pull_power=pull_power,
-        pose_ns=pose_ns,
+        pose_ns=state.pose_ns if elsewhere else pose_ns,
+        placed=placed,
         blind_s=0.0 if samples.distance else state.blind_s + tracker.cycle_s,
         speed=0.0 if view is None else view.speed,
         unit=None if view is None else view.unit,
@@ -155,6 +160,26 @@ def _see(
         row = along_measurement(tracker, transverse, source, measured, gate)
         rows.append(row if source is Source.CAMERA else felt_row(tracker, state, row, oscillation))
     return transverse, waiting, rejected, pose_ns
+
+
+def _placed_rows(
+    tracker: Tracker, state: TrackerState, rows: list[PositionMeasurement]
+) -> tuple[list[PositionMeasurement], bool, int]:
+    """Return the rows without images of an object that is elsewhere, ``placed``, their number.
+
+    A body sways by ``FARTHEST`` at most along the conveyor, whose unit the distance sensor shows.
+    An image that has seen it there, and sees it farther off as the tool moves, shows that the tool
+    does not go where its joints say: an axis of the URDF counts the other way.
+    """
+    images = [row for row in rows if row.source is Source.CAMERA]
+    if not images or state.conveyor is None or state.blind_s > BLIND_S:
+        return rows, state.placed, 0
+    view, T0 = tracker.classifier.estimate(state.conveyor), tracker.cycle_s
+    ways = [row.value - view.position - view.speed * (T0 - row.delay) for row in images]
+    far = [row for row, way in zip(images, ways, strict=True) if not abs(way) < FARTHEST]
+    if not (state.placed and state.started):
+        return rows, state.placed or len(far) < len(images), 0
+    return [row for row in rows if row not in far], True, len(far)
 
 
 def _is_upright(rotation: Array) -> bool:
