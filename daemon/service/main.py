@@ -63,6 +63,10 @@ def _main(arguments: argparse.Namespace) -> int:
         print("\n".join(error.lines), file=sys.stderr)
         return BAD_CONFIGURATION
     if arguments.check:
+        from linemate.daemon.commissioning.plan.unusual import cautions
+
+        for line in cautions(checked.station):
+            print(f"{arguments.config}: unusual: {line}", file=sys.stderr)
         print(f"{arguments.config}: good", *checked.peaks, sep="\n")
         return OK
     _keep_rehearsals(checked.kept)
