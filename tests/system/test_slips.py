@@ -237,7 +237,7 @@ def checked(path: Path) -> LoadedConfig:
     return station
 
 
-def beside_plant(station: LoadedConfig, cycle_ms: int = 12) -> lockstep.Lockstep:
+def next_to_plant(station: LoadedConfig, cycle_ms: int = 12) -> lockstep.Lockstep:
     """Return a run of the site's daemon next to the shipped plant."""
     known = setup.make("wheel", cycle_ms=cycle_ms)
     identified = known.control
@@ -257,7 +257,7 @@ def beside_plant(station: LoadedConfig, cycle_ms: int = 12) -> lockstep.Lockstep
 
 def true_speed(station: LoadedConfig) -> float:
     """Run the site's daemon next to the shipped plant; the fastest true tcp [m/s]."""
-    return fastest(beside_plant(station))
+    return fastest(next_to_plant(station))
 
 
 def fastest(run: lockstep.Lockstep, until_s: float = math.inf) -> float:
@@ -304,7 +304,7 @@ def test_an_axis_that_counts_the_other_way_is_held_in_its_first_motion(
     sign = re.compile(r'(?<=<axis xyz=")(-?[01]) (-?[01]) (-?[01])')
     turned = sign.sub(lambda xyz: " ".join(str(-int(each)) for each in xyz.groups()), tail, count=1)
     site.urdf = head + joint + turned
-    run = beside_plant(checked(site.write(tmp_path)), cycle_ms)
+    run = next_to_plant(checked(site.write(tmp_path)), cycle_ms)
     assert fastest(run, 2.0) < 0.4
     assert run.cycle.machine.state is State.HOLD
     assert "contradict" in (run.cycle.operating.cause or "")
