@@ -100,3 +100,14 @@ def test_the_mean_of_a_ring_is_a_quarter_of_it_and_that_of_a_lasting_deflection_
 def test_a_ring_that_has_come_from_the_other_side_drifts_nowhere(mean: float, drift: float) -> None:
     felt = FeltDrift(off=0.0005, mean=mean, speed=0.02)
     assert felt_drift.drift_ahead(felt) == pytest.approx(drift)
+
+
+def test_by_how_much_the_guide_was_drawn_is_forgotten_within_a_second() -> None:
+    felt = felt_drift.taken(after(stop(0.19)), 0.5)
+    drawn, off = felt.drawn, felt.off
+    assert off is not None
+    assert drawn == pytest.approx(off)
+    for _ in range(round(1.0 / DT)):
+        felt = felt_drift.observed(felt, off, DT)
+    assert felt.drawn == pytest.approx(drawn / math.e, rel=0.01)
+    assert felt_drift.moved(felt).drawn == 0.0

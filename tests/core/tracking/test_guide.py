@@ -515,6 +515,14 @@ def test_a_tool_that_rings_hides_no_object_that_hangs(half_s: float, hangs: bool
     assert state.guide.hangs is hangs
 
 
+def test_an_object_that_has_drawn_the_guide_after_it_does_not_hang() -> None:
+    """The draw hid what it had lost: led by 0.6 Hz, an object on a rigid carrier got 457 N."""
+    state, _ = stopped_by(0.1, swings=FeltDrift(off=0.0, drawn=-0.0018))
+    assert state.guide is not None
+    assert not state.guide.hangs
+    assert state.guide.felt.drawn == 0.0
+
+
 def test_an_object_that_has_followed_its_conveyor_is_led_with_it() -> None:
     state, felt = stopped_by(1.0)
     assert state.guide is not None

@@ -37,6 +37,7 @@ class FeltDrift(Struct, frozen=True):
         side: of the last one beyond ``SWING_M``: 1 or -1, 0 before the first one.
         kept_s: since it changed its side [s].
         half_s: for which it was on the side before [s].
+        drawn: by which it has drawn the guide after it, forgotten within ``SWUNG_S`` [m].
     """
 
     off: float | None = None
@@ -46,6 +47,7 @@ class FeltDrift(Struct, frozen=True):
     side: int = 0
     kept_s: float = math.inf
     half_s: float = math.inf
+    drawn: float = 0.0
 
     @property
     def is_quick(self) -> bool:
@@ -73,7 +75,8 @@ def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
         kept_s, half_s = (0.0, kept_s) if side else (kept_s, half_s)
         side = 1 if off > 0.0 else -1
     mean = before.mean + (1.0 - math.exp(-dt / MEAN_S)) * (off - before.mean)
-    return FeltDrift(off, mean, speed, before.grows_s + dt if grows else 0.0, side, kept_s, half_s)
+    grows_s, drawn = before.grows_s + dt if grows else 0.0, before.drawn * math.exp(-dt / SWUNG_S)
+    return FeltDrift(off, mean, speed, grows_s, side, kept_s, half_s, drawn)
 
 
 def share_taken(felt: FeltDrift) -> float:
@@ -96,8 +99,9 @@ def taken(felt: FeltDrift, share: float) -> FeltDrift:
     """Return what is left after the guide has taken up a share."""
     if felt.off is None or not share:
         return felt
-    left = 1.0 - share
-    return replace(felt, off=left * felt.off, mean=left * felt.mean, speed=left * felt.speed)
+    left, drawn = 1.0 - share, felt.drawn + share * felt.off
+    off, mean, speed = left * felt.off, left * felt.mean, left * felt.speed
+    return replace(felt, off=off, mean=mean, speed=speed, drawn=drawn)
 
 
 def moved(felt: FeltDrift) -> FeltDrift:

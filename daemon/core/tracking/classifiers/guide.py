@@ -47,7 +47,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
-from linemate.daemon.core.tracking.classifiers.felt_drift import FeltDrift
+from linemate.daemon.core.tracking.classifiers.felt_drift import UNFELT, FeltDrift
 from linemate.daemon.core.tracking.conveyor import (
     Motion,
     PositionMeasurement,
@@ -125,11 +125,8 @@ def advance(
     elif has_changed:
         led = _in_class(model, state, led, measurements, sways=sways)
     if is_reset or has_changed:
-        swung = felt.mean if felt.is_quick else None
+        led, hangs = _going_on(model, state, was, led, measurements, felt, hangs=hangs, sways=sways)
         felt = felt_drift.moved(guide.felt if is_reset else felt)
-        led, hangs = _going_on(
-            model, state, was, led, measurements, hangs=hangs, sways=sways, swung=swung
-        )
     led = led if sways or hangs else _fading(led, was.x[_SWAY], dt)
     x, P, omega = led.x, led.P, led.sway_omega
     guide = Guide(x, P, led.ripple_factor, sways, waits, missed, felt, omega, hangs)
@@ -363,23 +360,23 @@ def _going_on(
     was: BankState,
     led: BankState,
     measurements: Sequence[PositionMeasurement],
+    drift: FeltDrift,
     *,
     hangs: bool,
     sways: bool,
-    swung: float | None,
 ) -> tuple[BankState, bool]:
     """Return the guide after a change of its conveyor, and whether its object hangs from that.
 
     Args:
         was: the guide without the change.
         led: the guide with the change, for an object on a rigid carrier.
+        drift: deflection up to now.
         hangs: the object hung before.
         sways: a sway leads the target.
-        swung: mean of a deflection that swings quickly [m].
     """
     gain = float(was.x[GAIN]) if hangs else 0.0
     if not hangs and _may_hang(model, state, sways=sways):
-        gain, was = _gone_on(model, was, led, measurements, swung), _steady(was)
+        gain, was = _gone_on(model, was, led, measurements, drift), _steady(was)
     return (_hanging(model, was, led, measurements, gain), True) if gain else (led, False)
 
 
@@ -396,7 +393,7 @@ def _gone_on(
     was: BankState,
     led: BankState,
     measurements: Sequence[PositionMeasurement],
-    swung: float | None = None,
+    drift: FeltDrift = UNFELT,
 ) -> float:
     """Return the share of a change of the conveyor that the object has not followed, or 0.
 
@@ -406,15 +403,16 @@ def _gone_on(
     Args:
         was: the guide without the change.
         led: the guide with the change, for an object on a rigid carrier.
-        swung: mean of a deflection that swings quickly: now it shows the swing [m].
+        drift: deflection up to now: of one that swings quickly the mean counts.
     """
     felt = [each for each in measurements if each.source is Source.TACTILE]
     lost = float(was.x[Y] + was.x[OFFSET] - led.x[Y] - led.x[OFFSET])
     # Bolts with play show no more of an object that stops at once until they meet their holes.
     if not felt or abs(lost) < LEAST_LOST + 2.0 * felt[-1].play:
         return 0.0
-    off = _deflection(model, was, felt[-1]) if swung is None else swung
-    share = 1.0 + off / lost
+    off = drift.mean if drift.is_quick else _deflection(model, was, felt[-1])
+    # A guide that was drawn after the object has followed a part of what the object has lost.
+    share = 1.0 + (off + drift.drawn) / lost
     # Farther on than at the speed that it had it is driven by something else: it swings.
     return min(share, model.sway.gain_deviation) if HANGING < share < 2.0 - HANGING else 0.0
 
