@@ -245,3 +245,22 @@ def test_the_acceleration_is_uncertain_at_the_end_of_a_ramp(motion: Motion) -> N
         x[V] = speed
         noise.append(float(BANK.process_noise(structs.replace(state, x=x), T0)[ACCELERATION]))
     assert noise[1] > 20.0 * noise[0]
+
+
+def test_a_stop_that_began_before_a_start_ends_is_tested_on() -> None:
+    """Tested again from that end on, it was confirmed 0.4 s late: 290 N."""
+    state = structs.replace(BANK.initial(0.0), motion=Motion.STARTING, age=5.0, tentative=True)
+    x = state.x.copy()
+    x[V], x[ACCELERATION] = state.cruise, 0.013
+    onsets = BANK.change_onsets[Motion.STARTING]
+    evidence = np.array([[50.0], [50.0], [0.1], [0.0], [0.0]])
+    changes = structs.replace(onsets, sums=onsets.sums + evidence)
+    ended = bank_filter.predict(BANK, structs.replace(state, x=x, changes=changes), T0)
+    assert ended.motion is Motion.RUNNING
+    assert ended.tentative
+    oldest = ended.changes.sums[:, -1]
+    assert oldest[:3] == pytest.approx((50.0, 50.0, 0.1 + T0))
+    # Without the start it adds what a stop of a running conveyor does.
+    error = float(ended.changes.error[ACCELERATION, -1])
+    running = BANK.change_onsets[Motion.RUNNING]
+    assert error == pytest.approx(float(running.error[ACCELERATION, 0]), rel=0.01)

@@ -523,6 +523,29 @@ def test_an_impulse_hides_no_change_within_a_ramp_that_the_distance_sensor_shows
     assert bank._decide(state).motion is motion
 
 
+def test_the_readings_of_a_start_hide_no_stop_after_it() -> None:
+    """They are no steady motion: as one they denied a stop in contact with odds of -165."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    ages = np.arange(0.8, 0.0, -T0)
+    started, stopped = np.minimum(0.3 - ages, 0.0), np.maximum(0.2 - ages, 0.0)
+    way = -NOMINAL * ages + 0.0165 * started**2 - 0.5 * STOP * stopped**2
+    state = structs.replace(
+        bank.initial(0.0),
+        class_age=0.3,
+        within_ramp=True,
+        readings=np.array((ages, way)),
+        changes=onset_bank.begin(np.zeros(STATES), (0.0,), 0.2),
+        change=onset_bank.OnsetPosterior(10.0, np.ones(1), np.ones(1), 0.0225),
+    )
+    odds = [
+        bank._distance_odds(structs.replace(state, within_ramp=within)) for within in (True, False)
+    ]
+    assert odds[0] is not None
+    assert odds[1] is not None
+    assert odds[0] > 5.0
+    assert odds[1] < -5.0
+
+
 def coasting(tau: float, seconds: float) -> tuple[Array, Array]:
     """Times and positions of a stop at 1 s whose last part fades exponentially."""
     times = np.arange(-1.0, seconds, 0.001)

@@ -528,14 +528,13 @@ class BankClassifier(BankModel):
         weights, readings, ramp = state.change.weights, self._readings(state), None
         change = self.changes[state.motion] * float(weights.dot(state.change.amplitudes))
         deviation, speed = RUNNING_DEVIATION, state.cruise
+        if state.within_ramp or state.motion is Motion.STANDING:
+            # The ramp before is no steady motion: that of a start hid a stop 0.5 s after it.
+            readings = distance_check.since(readings, state.class_age)
         if state.motion in RAMPS:
             ramp = Ramp(state.class_age, self._ramp(state))
-            if state.within_ramp:
-                readings = distance_check.since(readings, state.class_age)
         elif state.motion is Motion.STANDING:
-            # The stop before is no steady motion, and what is left of its speed dies out.
-            speed = 0.0
-            readings = distance_check.since(readings, state.class_age)
+            speed = 0.0  # what is left of the stop before dies out
             left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
             deviation = math.hypot(STANDING_DEVIATION, left)
         return distance_check.log_odds(
