@@ -147,9 +147,9 @@ def _end_class(model: BankModel, state: BankState) -> BankState:
 
 
 def _end_start(state: BankState, speed: float) -> BankState:
-    """Return the state of a conveyor that has started, a stop that may have begun before kept.
+    """Return the running state past the end of a start; the hypotheses of a stop are kept.
 
-    A stop 0.2 s before the end of a start was tested again from that end on: 0.4 s late.
+    One that began 0.2 s before that end was tested again from there on: 0.4 s late.
     """
     bank = state.changes
     error = bank.error.copy()
