@@ -12,6 +12,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL, Outputs, step
+from linemate.daemon.core.tracking.estimation.force_use import is_force_used
 from linemate.daemon.core.tracking.goal import rest_state
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.core.tracking.touch.withdrawal import WAY
@@ -190,6 +191,18 @@ def test_a_tool_that_was_withdrawn_is_not_on_the_object_any_more(
     assert rested.contact == is_on_it
     assert rested.started == is_on_it
     assert rested.withdrawn is None
+
+
+def test_a_tool_at_rest_that_may_be_clamped_measures_the_object_once_its_clamp_pulls() -> None:
+    """A free one that swung after lost telegrams took the object to where it was, and held on."""
+    on_it = replace(on_the_object().state.tracker, touching=0.05, releasing=0.1)
+    there = replace(on_it, contact=False, clamped=True, pull=(0.0, 20.0, 0.0), pull_power=70.0**2)
+    rested = rest_state.rest(P.tracker, there, there.poses[0], 0.0)
+    assert rested.contact
+    assert not is_force_used(P.tracker, rested, None)
+    assert is_force_used(P.tracker, replace(rested, pull=(0.0, 80.0, 0.0)), None)
+    felt = rest_state.rest(P.tracker, replace(there, contact=True), there.poses[0], 0.0)
+    assert is_force_used(P.tracker, felt, None)
 
 
 def test_a_controller_that_begins_again_there_finds_the_tool_on_the_object() -> None:

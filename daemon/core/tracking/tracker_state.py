@@ -165,7 +165,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         contact_state: of the contact detection, until there is contact.
         force_offset: what jumps of the measured force have added to it before contact.
         contact: the tool is clamped to the object.
-        assumed: contact is assumed: the cell has no force-torque sensor.
+        assumed: contact is assumed: the cell has no force-torque sensor, or a tool that may be
+            clamped came to rest.
         touching: time since the contact began [s].
         touched: where the programme was as the contact began.
         fixing: time since the tool was ordered to fix [s]; None before.

@@ -34,7 +34,8 @@ def is_force_used(tracker: Tracker, state: TrackerState, wrench: Wrench | None) 
         return False
     # In the task's own release the tool stands at the object: a mean is early enough there.
     is_closed = state.clamped and release.opens(state.releasing, state.touching)
-    is_closed = is_closed or state.touching < release.PULL_S
+    # Where a contact is assumed no touch was felt: the clamp may have closed on nothing.
+    is_closed = not state.assumed and (is_closed or state.touching < release.PULL_S)
     return state.contact and (is_closed or is_pulling(tracker, state))
 
 

@@ -40,6 +40,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
             poses=poses,
             axis=linear_axis.at_rest(axis, tracker.axis_steps),
             contact=True,
+            assumed=state.assumed or not state.contact,
             departure=None,
             withdrawn=None,
             clamped=False,
