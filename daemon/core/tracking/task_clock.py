@@ -52,12 +52,12 @@ def programme_times(tracker: Tracker, state: TrackerState) -> Array | None:
         return None
     times = clock_ramp.times_ahead(ramp, state.time / T0, tracker.steps)
     low, high = _bounds(tracker, state)
-    return np.clip(times, low, high)
+    return np.clip(times, min(low, state.time / T0), high)
 
 
 def _withdraws_moving(tracker: Tracker, state: TrackerState) -> bool:
-    """Return whether a tool withdraws that moved on its last approach as the clock stood."""
-    if state.withdrawn is None or not is_blended(state) or state.time <= tracker.sight_time:
+    """Return whether a tool withdraws that moved along its programme as the clock stood."""
+    if state.withdrawn is None:
         return False
     return 0.0 < state.clock_stood - state.withdrawn < 1.5 * tracker.cycle_s
 

@@ -12,6 +12,7 @@ from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import merge, task_clock
 from linemate.daemon.core.tracking.go_no_go import clock_ramp, evidence
 from linemate.daemon.core.tracking.go_no_go.decision import GoOrder, GoState, Zone
+from linemate.daemon.core.tracking.goal.programmed_poses import programmed_poses
 from linemate.daemon.core.tracking.goal.rest_state import at_rest, rest
 from linemate.daemon.core.tracking.reference import barrier, last_step
 from linemate.daemon.core.tracking.task import Gate
@@ -299,20 +300,19 @@ def test_a_retreat_from_any_step_of_a_ramp_leaves_the_plan_on_the_programme(
 
 
 @pytest.mark.parametrize("cycle_s", [0.004, 0.008, 0.012])
-@pytest.mark.parametrize("after_s", [0.3, 0.5, 0.7])
-def test_a_retreat_from_the_last_approach_leaves_the_plan_on_the_programme(
-    cycle_s: float, after_s: float
+@pytest.mark.parametrize("after_s", [-0.3, -0.1, 0.3, 0.5, 0.7])
+@pytest.mark.parametrize("blend_s", [0.0, 11.0])
+def test_a_retreat_from_an_approach_leaves_the_plan_on_the_programme(
+    cycle_s: float, after_s: float, blend_s: float
 ) -> None:
     tracker = of_cycle(cycle_s)
     plan, ahead = tracker.merge_free, np.arange(tracker.steps + 1.0)
-    state = replace(on_the_way(tracker, after_s), blend_s=0.0)
+    state = replace(on_the_way(tracker, after_s), blend_s=blend_s)
     begun = state.time
     poses, off = tracker.table.between(state.time / cycle_s + ahead)[1], []
     for _ in range(round(0.5 / cycle_s)):
         state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
-        times = task_clock.programme_times(tracker, state)
-        assert times is not None
-        goal = tracker.table.between(times)[1]
+        _, goal = programmed_poses(tracker, state, state.time, retreat=True)
         poses, _ = merge.merge(poses, goal, plan)
         off.append(np.abs(poses - goal)[:, 2].max())
     assert state.time == begun

@@ -20,13 +20,12 @@ def programmed_poses(
         limit: task time at which the clock stops [s].
     """
     times = programme_times(tracker, state)
-    if times is None:
-        goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
-        if not is_blended(state):
-            stands = not retreat or state.clock_stood > 0.0
-            goal = _going_on(tracker, state, goal, limit if stands else math.inf)
-    else:
-        goal, relative = tracker.table.between(times)
+    goal, relative = tracker.table.ahead(state.time, limit, tracker.steps)
+    if not is_blended(state):
+        stands = not retreat or state.clock_stood > 0.0
+        goal = _going_on(tracker, state, goal, limit if stands else math.inf)
+    if times is not None:
+        relative = tracker.table.between(times)[1]
     if state.contact and not is_before_contact(tracker, state):
         return goal, _pressing_poses(tracker, state, relative)
     return goal, _waiting_poses(tracker, state, relative) if retreat else relative
