@@ -13,7 +13,8 @@ Invariants:
 - Its depth counts if the object was firm: the press moves one that gives way.
 - A change is made while the robot stands. It goes through the parameter service like an operator's.
 - Corrections that were taken back are learned as quickly as at first.
-- A touch farther off than ``LARGEST_M`` or ``LARGEST_RAD`` shows a fault, not a bias.
+- A touch farther off than ``LARGEST_M`` or ``LARGEST_RAD`` shows a fault, not a bias. Within what
+  the corrections reach it is none: a camera 1.7 mm off, with noise, was refused in two of three.
 """
 
 import math
@@ -37,7 +38,7 @@ WHO = "touches"
 
 FELT, FELT_TURN = "tracking.camera.felt", "tracking.camera.felt_turn"
 FELT_DEPTH = "tracking.camera.felt_depth"
-LARGEST_M, LARGEST_RAD = 0.002, 0.006  # of a touch from where the object was expected
+LARGEST_M, LARGEST_RAD = 0.003, 0.006  # of a touch from where the object was expected
 KNOWN = 4  # touches that a value counts for which was learned before the start
 LEAST_GAIN = 0.1  # share of a touch that is taken: a mount may move
 NOISE_SHARE = 0.5  # variance of a touch (0.35 mm) over that of a calibrated mount (0.5 mm)

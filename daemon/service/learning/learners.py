@@ -15,7 +15,7 @@ from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.core.control.adaptation import ServoEstimates
 from linemate.daemon.cycle.cycle import Cycle
-from linemate.daemon.cycle.learning import distances, part_mass, servos, touches
+from linemate.daemon.cycle.learning import part_mass, position_sensors, servos
 from linemate.daemon.cycle.learning.distances import DistanceLearner
 from linemate.daemon.cycle.learning.part_mass import PartLearner
 from linemate.daemon.cycle.learning.servos import Learner
@@ -67,15 +67,9 @@ class Learners:
         if self._servos is not None and self._servos.ripe:
             self._estimate_servos(self._servos)
         tracking = self._settings().tracking
-        if self._distances is not None and self._distances.shown is not None:
-            values = self._distances.keep(tracking.distance)
-            self._keep(values, distances.WHO, "what the object's motion has shown")
-            if self._distances.spoils_touch and self._touches is not None:
-                # A touch that a wrong distance has moved shows no camera.
-                self._touches.touch = None
-        if self._touches is not None and self._touches.touch is not None:
-            values = self._touches.keep(tracking.camera)
-            self._keep(values, touches.WHO, "what the touch has shown")
+        shown = position_sensors.learned(self._distances, self._touches, tracking)
+        for who, what, values in shown:
+            self._keep(values, who, what)
         if self._parts is not None and self._parts.mass is not None:
             values = self._parts.keep(tracking.payload)
             self._keep(values, part_mass.WHO, "what the part weighs")

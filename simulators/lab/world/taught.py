@@ -8,8 +8,11 @@ Invariants:
 
 from dataclasses import replace
 
-from linemate.daemon.cycle.learning.distances import LATE, SCALE, DistanceLearner
-from linemate.daemon.cycle.learning.touches import FELT, FELT_DEPTH, FELT_TURN, TouchLearner
+from linemate.daemon.config.settings_tree import Settings, change
+from linemate.daemon.config.watch_settings import WatchSettings
+from linemate.daemon.cycle.learning import position_sensors
+from linemate.daemon.cycle.learning.distances import DistanceLearner
+from linemate.daemon.cycle.learning.touches import TouchLearner
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep
 from linemate.simulators.harness.setup import Setup
@@ -24,10 +27,10 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
     Args:
         seed: of the judged run, whose cell it is unless the scenario states its own.
     """
-    learner, distances = TouchLearner(), DistanceLearner()
+    touches, distances = TouchLearner(), DistanceLearner()
 
     def record(entry: LogEntry) -> None:
-        learner.record_touch((entry,))
+        touches.record_touch((entry,))
         distances.record_motion((entry,))
 
     own = setup.scenario.cell_seed
@@ -36,17 +39,8 @@ def taught(setup: Setup, seed: int, cars: int) -> Setup:
     for car in range(cars):
         known = replace(cell, tracking=setup.tracking)
         lockstep.run(known, FIRST_SEED + MOST_CARS * seed + car, on_step=record)
-        camera, distance = setup.tracking.camera, setup.tracking.distance
-        values = distances.keep(distance)
-        late, scale = values.get(LATE, distance.late), values.get(SCALE, distance.scale)
-        distance = replace(distance, late=late, scale=scale)
-        if distances.spoils_touch:
-            learner.touch = None  # it was off by the distance, not by the camera
-        touched = learner.keep(camera)
-        x, y = touched.get(FELT, camera.felt)
-        a, b = touched.get(FELT_TURN, camera.felt_turn)
-        depth = touched.get(FELT_DEPTH, camera.felt_depth)
-        camera = replace(camera, felt=(x, y), felt_turn=(a, b), felt_depth=depth)
-        tracking = replace(setup.tracking, camera=camera, distance=distance)
-        setup = replace(setup, tracking=tracking)
+        settings = Settings(setup.tracking, setup.control, WatchSettings())
+        for _, _, values in position_sensors.learned(distances, touches, setup.tracking):
+            settings = change(settings, values)
+        setup = replace(setup, tracking=settings.tracking)
     return setup
