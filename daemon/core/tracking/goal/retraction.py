@@ -53,7 +53,7 @@ def withdraw(
     """Return the state and the goal (m, 6) of a tool that withdraws.
 
     One that begins again at rest takes up the object's speed as gradually as its own. Where the
-    task's own retreat is under way, both together are no faster than either.
+    task's own retreat runs, both together are no faster than either.
 
     Args:
         part: (6,) the object now, None while it is not seen.
