@@ -236,6 +236,7 @@ class Cycle(RestingStepper):
     def _decide(self, telegram: ControllerTelegram, peer: Hashable) -> bytes | None:
         robot = telegram.robot
         stamp_ns = robot.stamp_ns
+        is_far = self._jump(robot, 1) is not None
         self.session.note_telegram(stamp_ns)
         decision = self.decision = self.exchange.on_telegram(telegram.counter, stamp_ns, peer)
         self._owes_reply = decision.answer
@@ -244,11 +245,7 @@ class Cycle(RestingStepper):
         if self._rest_now is not None:
             self._end_rest_by(self._rest_now, telegram, decision)
         self.session.cycles_since_command += decision.missed + 1
-        jump = None if decision.kind in _OPENS else self._jump(robot, decision.missed + 1)
-        if jump is not None:
-            self.refused += 1
-            self.last_refusal = jump
-            self.session.refuse(peer)
+        if is_far and self._refuse_jump(robot, peer, decision):
             return self._reply_bare(telegram.echo, stamp_ns, decision.steps)
         if telegram.unready is not None:
             self.session.decline(telegram.unready, self._axes(robot), peer)
@@ -275,27 +272,38 @@ class Cycle(RestingStepper):
         return reply.head + telegram.echo + reply.tail
 
     def _jump(self, robot: RobotSample, cycles: int) -> str | None:
-        """Return which axis of a robot that is led cannot have come to where it is reported.
+        """Return which axis a robot that is led cannot have moved so far, None if there is none.
 
         Args:
             cycles: since the telegram before, by their counters.
         """
         before, period = self._arrived, self.parameters.cycle_s
-        if before is None or not (self._is_led and self.session.is_proven):
+        if before is None:
             return None
-        speeds = self.parameters.controller.limits.speed.tolist()
-        axes = zip(AXES, self._axes(before), self._axes(robot), speeds, strict=False)
-        for name, old, new, speed in axes:
+        speeds = self.parameters.controller.limits.speed.tolist()  # of the axes that there are
+        old_axes, new_axes = ((*each.joints, *each.external[:1]) for each in (before, robot))
+        for name, old, new, speed in zip(AXES, old_axes, new_axes, speeds, strict=False):
             reach = cycles * max(LONGEST_JUMP, OVERSPEED * speed * period)
             if not abs(new - old) <= reach:
                 return f"{name} jumps from {old:.3f} to {new:.3f} in {cycles} cycles (rad, m)"
         return None
 
+    def _refuse_jump(self, robot: RobotSample, peer: Hashable, decision: TelegramDecision) -> bool:
+        """Return whether a telegram counts as unreadable, for an axis jumps that is led."""
+        if decision.kind in _OPENS or not (self._is_led and self.session.is_proven):
+            return False
+        jump = self._jump(robot, decision.missed + 1)
+        if jump is not None:
+            self.refused += 1
+            self.last_refusal = jump
+            self.session.refuse(peer)
+        return jump is not None
+
     @property
     def _is_led(self) -> bool:
         """Whether the robot has got a command of its session, or is to get one."""
-        is_held = states.order(self.operating.machine) is MotionOrder.HOLD
-        return not is_held or self.session.applied != self.session.reference
+        was_led = self.session.applied != self.session.reference
+        return was_led or states.order(self.operating.machine) is not MotionOrder.HOLD
 
     def _note_reply(self, arrived: RobotSample, peer: Hashable) -> None:
         """Note the reply to a telegram that is proven to be the program's."""
@@ -400,10 +408,10 @@ class Cycle(RestingStepper):
 
         A session may begin while the robot still comes to rest.
         """
-        axes, start = self._axes(robot), self.session.reference
-        if self._is_led:
+        is_led, axes = self._is_led, self._axes(robot)
+        if is_led:
             self.following.check_moving(axes, self.operating.settings.follow_tolerance)
-        elif self.following.check_resting(axes, start):
+        elif self.following.check_resting(axes, self.session.reference):
             self._open_session(robot, axes, axes)
 
     def _reply_bare(self, echo: bytes, stamp_ns: int, steps: int) -> bytes:
