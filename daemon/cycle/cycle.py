@@ -272,7 +272,7 @@ class Cycle(RestingStepper):
         return reply.head + telegram.echo + reply.tail
 
     def _jump(self, robot: RobotSample, cycles: int) -> str | None:
-        """Return which axis a robot that is led cannot have moved so far, None if there is none.
+        """Return which axis has moved farther than it can, None if there is none.
 
         Args:
             cycles: since the telegram before, by their counters.
@@ -289,7 +289,7 @@ class Cycle(RestingStepper):
         return None
 
     def _refuse_jump(self, robot: RobotSample, peer: Hashable, decision: TelegramDecision) -> bool:
-        """Return whether a telegram counts as unreadable, for an axis jumps that is led."""
+        """Return whether a telegram counts as unreadable: an axis that is led jumps."""
         if decision.kind in _OPENS or not (self._is_led and self.session.is_proven):
             return False
         jump = self._jump(robot, decision.missed + 1)
