@@ -127,9 +127,9 @@ def taken_up(plan: merge.MergePlan, cycle_s: float) -> float:
 
 @pytest.mark.parametrize(
     ("cycle_s", "dead_time", "later_s"),
-    # By hand: half a cycle from 8 ms on; at 24 and 36 ms five cycles are the least anyway.
-    [(0.004, 0.036, 0.0), (0.008, 0.120, 0.004), (0.012, 0.036, 0.006), (0.016, 0.084, 0.008),
-     (0.024, 0.084, 0.012), (0.024, 0.036, 0.0)],
+    # By hand: a cycle and 8 ms instead of a cycle or 4 ms. At 24 ms five cycles are the least.
+    [(0.002, 0.036, 0.006), (0.004, 0.036, 0.008), (0.008, 0.120, 0.008), (0.012, 0.036, 0.008),
+     (0.024, 0.084, 0.008), (0.024, 0.036, 0.0)],
 )  # fmt: skip
 def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
     cycle_s: float, dead_time: float, later_s: float
