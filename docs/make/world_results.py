@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from docs.make.figures import number
 from linemate.simulators.harness import scenario_file
 from linemate.simulators.harness.world import world_rows
 from linemate.simulators.lab.world.world_table import outcomes
@@ -235,7 +236,7 @@ def _spread(figure: Mapping[str, Any] | None) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "missed" if value is None else f"{float(f'{value:.3g}'):g}"
+    return "missed" if value is None else number(value)
 
 
 def floor(load: Load, has: Has) -> str:
