@@ -1,26 +1,102 @@
 """Tables of docs/performance.md: step, turn-around, processor time, start, and what falls short."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 from docs.make.figures import number
 from linemate.simulators.lab.bench import bench_start
 
-Load = Callable[[str], dict[str, Any]]
+Figures = Mapping[str, Any]
+Load = Callable[[str], Figures]
 
 
 def step(load: Load) -> str:
     """Return the table of docs/performance.md."""
     timed = load("bench")
-    machine = timed["machine"]
+    lines = [_host(timed["machine"], "measured"), "|---|---|"]
+    lines += [f"| one step, horizon {n} | {number(us)} us |" for n, us in timed["step_us"].items()]
+    speed = number(timed["virtual_times_realtime"])
+    return "\n".join([*lines, f"| a run in virtual time | {speed} times real time |"])
+
+
+WANTED = {
+    ("4ms", "p50_ratio"): (1.2, 1.3),
+    ("4ms", "p99_ratio"): (1.45, 1.45),
+    ("4ms", "inline"): (6.0,),
+    ("2ms", "answered"): (99.95, 99.95),
+}
+"""What is wanted of a figure of the turn-around, idle and loaded: ratios at most, % at least."""
+
+NAMES = {
+    "p50_ratio": "reply by echo, p50",
+    "p99_ratio": "reply by echo, p99",
+    "inline": "not prepared, p50",
+    "answered": "answered in their cycle",
+}
+
+
+def turnaround(load: Load) -> str:
+    """Return the table of replies next to those of a C echo."""
+    timed = load("turnaround")
+    cycles = timed["turnaround"]
+    columns = [
+        f"{cycle.replace('ms', ' ms')}, {mode}" for cycle in cycles for mode in ("idle", "loaded")
+    ]
+    lines = [_host(timed["machine"], " | ".join(columns)), "|---" * (1 + len(columns)) + "|"]
+    for name, text in NAMES.items():
+        cells = [_reply(name, mode) for modes in cycles.values() for mode in _modes(name, modes)]
+        lines.append(f"| {text} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _modes(name: str, modes: Figures) -> tuple[Figures | None, Figures | None]:
+    """Return the rounds of a figure, idle and loaded; in line there are idle ones only."""
+    return (modes["inline"], None) if name == "inline" else (modes["idle"], modes["loaded"])
+
+
+def _value(name: str, mode: Figures) -> float:
+    """Return a ratio to the echo, or the share of telegrams answered in their cycle [%]."""
+    if name == "answered":
+        return 100.0 * (1.0 - float(mode["late"]) / float(mode["cycles"]))
+    return float(mode["p50_ratio" if name == "inline" else name])
+
+
+def _limit(name: str, value: float) -> str:
+    return f"{value:.4g} %" if name == "answered" else f"{value:.3g}"
+
+
+def _reply(name: str, mode: Figures | None) -> str:
+    """Return a figure, and of a ratio the times that it compares."""
+    if mode is None:
+        return ""
+    shown = _limit(name, _value(name, mode))
+    if name == "answered":
+        return shown
+    rank = "p99" if name == "p99_ratio" else "p50"
+    return f"{shown} ({mode[f'{rank}_us']:.0f}/{mode[f'echo_{rank}_us']:.0f} us)"
+
+
+def missed_turnarounds(cycles: Figures) -> Iterator[tuple[str, str, str]]:
+    """Yield label, figure and limit of each turn-around that falls short."""
+    for (cycle, name), limits in WANTED.items():
+        for load, mode, limit in zip(
+            ("idle", "loaded"), _modes(name, cycles[cycle]), limits, strict=False
+        ):
+            if mode is None:
+                continue
+            value = _value(name, mode)
+            if value < limit if name == "answered" else value > limit:
+                label = f"{cycle.replace('ms', ' ms')}, {load}: {NAMES[name]}"
+                yield label, _limit(name, value), _limit(name, limit)
+
+
+def _host(machine: Figures, columns: str) -> str:
+    """Return the head of a table with the machine that measured it."""
     host = (
         f"{machine['processor']}, {machine['cores']} cores, Linux {machine['kernel']},"
         f" Python {machine['python']}, load {number(machine['load_1min'])}"
     )
-    lines = ["| figure | measured |", "|---|---|", f"| machine | {host} |"]
-    lines += [f"| one step, horizon {n} | {number(us)} us |" for n, us in timed["step_us"].items()]
-    speed = number(timed["virtual_times_realtime"])
-    return "\n".join([*lines, f"| a run in virtual time | {speed} times real time |"])
+    return f"| {host} | {columns} |"
 
 
 def by_part(load: Load) -> str:
@@ -82,9 +158,12 @@ def by_shortfall(load: Load) -> str:
             "0.75 ms",
         ),
     )
+    missed = missed_turnarounds(load("turnaround")["turnaround"])
     starts = zip(bench_start.rows(load("start")["start"]), STARTS, strict=True)
     slow = [(*row, wanted) for row, wanted in starts if wanted and _first(row[1]) > _first(wanted)]
-    lines = [f"| {name} | {value} | {wanted} |" for name, value, wanted in (*reached, *slow)]
+    lines = [
+        f"| {name} | {value} | {wanted} |" for name, value, wanted in (*reached, *missed, *slow)
+    ]
     return "\n".join(["| figure | reached | wanted |", "|---|---|---|", *lines])
 
 

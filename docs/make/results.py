@@ -87,6 +87,11 @@ def bench(raw: Result) -> Result:
     return {key: raw[key] for key in ("machine", "step_us", "virtual_times_realtime")}
 
 
+def turnaround(raw: Result) -> Result:
+    """Return replies next to those of an echo, idle, loaded and without preparation."""
+    return {key: raw[key] for key in ("machine", "rounds", "notes", "echo", "fifo", "turnaround")}
+
+
 def processor_time(raw: Result) -> Result:
     """Return the daemon's processor time and memory by part, with the machine."""
     return {key: raw[key] for key in ("machine", "cpu")}
@@ -113,6 +118,10 @@ COMMANDS: dict[str, tuple[str, Callable[[Result], Result]]] = {
         campaign,
     ),
     "bench": ("linemate-sim bench --parts virtual,step --json", bench),
+    "turnaround": (
+        "linemate-sim bench --parts turnaround --cycles 4,2 --rounds 5 --round-s 16 --json",
+        turnaround,
+    ),
     "cpu": ("linemate-sim bench --parts cpu --cycles 12,4 --json", processor_time),
     "start": ("linemate-sim bench --parts start --cycles 4 --json", start_and_rest),
     **{name: (text, world_results.condensed) for name, text in world_results.COMMANDS.items()},
@@ -339,6 +348,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "accuracy": accuracy,
     "without": without,
     "step": lambda: bench_results.step(load),
+    "turnaround": lambda: bench_results.turnaround(load),
     "cpu": lambda: bench_results.by_part(load),
     "start": lambda: bench_results.by_start(load),
     "shortfall": lambda: bench_results.by_shortfall(load),
