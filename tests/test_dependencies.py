@@ -64,8 +64,8 @@ def test_every_package_that_is_imported_is_declared(folder: str) -> None:
 
 def test_every_package_that_a_cell_installs_is_imported() -> None:
     used = {package for folder in FOLDERS for package, _ in imported(folder)}
-    # python-can's slcan interface imports pyserial. Tests compare our filters with filterpy's.
-    assert declared() - used <= {"filterpy", "pyserial"}
+    # python-can's slcan interface imports pyserial.
+    assert declared() - used <= {"pyserial"}
 
 
 def test_every_declared_package_has_a_tried_version() -> None:

@@ -38,7 +38,6 @@ from linemate.daemon.identification.trace import Trace, TraceStep, build_trace
 from linemate.protocol.stamped_samples import Vector3
 
 LEAST_STOPS = 3
-_PARTS = (slice(0, 3), slice(3, 6))  # of a pose: position, rotation
 SERVO_LINES = ("servo ", "windup ", "effector ", "force noise", "torque noise")
 OBJECT_LINES = ("swing ", "sway", "camera noise", "camera angle", "camera depth", "camera outliers")
 

@@ -39,7 +39,7 @@ from linemate.protocol.units import DEG, MM
 # alarm [s]. Measured on a CRX by the authors of airo-fanuc 0.1.0.
 COAST_S: Final = 0.12
 
-TAKES_COMMANDS, MOVES = 0x01, 0x08
+TAKES_COMMANDS = 0x01
 ERROR, PENDANT, EMERGENCY_STOP = 0x01, 0x02, 0x04
 
 _UNUSED = 1e-3  # an axis that is not configured is at zero if it is nearer than this [deg, mm]

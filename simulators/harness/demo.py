@@ -56,7 +56,6 @@ from linemate.simulators.plants.scenario import Scenario
 
 LOOPBACK = "127.0.0.1"
 STALL_S = 30.0
-END_S = 15.0
 LOOK_S = 0.5
 DAEMON_PRIORITY = 70
 EMULATOR_PRIORITY = 60

@@ -8,7 +8,6 @@ Invariants:
 """
 
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,8 +25,6 @@ AXES = 7
 
 FREE, CLAMPED, RELEASED = 0, 1, 2
 """Codes of the column ``contact``."""
-
-CONTACT_CODES = {"free": FREE, "clamped": CLAMPED, "released": RELEASED}
 
 PHASES = ("", "wait", "approach", "contact", "screws", "retreat", "done")
 """Codes of the column ``phase``."""
@@ -144,8 +141,6 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "setpoints": (AXES,), "joints": (AXES,), "command": (AXES,), "force": (3,),
     "relative": (3,), "sway": (6,),
 }  # fmt: skip
-_ADDED = ("relative", "sway", "energy")
-"""Columns that older archives do not have."""
 _INTS = {"contact", "digital_in", "phase", "scenario", "state"}
 _BOOLS = {"answered", "tentative", "contact_seen"}
 
@@ -162,20 +157,3 @@ def empty(n: int) -> Rows:
         elif field.name != "events":
             columns[field.name] = np.full(shape, np.nan)
     return Rows(**columns)
-
-
-def save(rows: Rows, path: Path) -> None:
-    """Write rows as a compressed numpy archive."""
-    columns = {f.name: getattr(rows, f.name) for f in fields(rows) if f.name != "events"}
-    events = np.array([(e.t, e.kind, e.what) for e in rows.events], dtype="f8,U16,U16")
-    np.savez_compressed(path, allow_pickle=False, events=events, **columns)
-
-
-def load(path: Path) -> Rows:
-    """Read what `save` wrote."""
-    with np.load(path, allow_pickle=False) as archive:
-        columns = {name: archive[name] for name in archive.files}
-    events = tuple(DaemonEvent(float(t), str(k), str(w)) for t, k, w in columns.pop("events"))
-    length = len(columns["t"])
-    added = {name: np.zeros((length, *_SHAPES.get(name, ()))) for name in _ADDED}
-    return Rows(events=events, **{**added, **columns})

@@ -1,13 +1,12 @@
 """Figures of a contact on synthetic rows, whose result is known beforehand."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from linemate.simulators.judge.contact_figures import contact_figures
-from linemate.simulators.judge.rows import CLAMPED, Rows, empty, load, save
+from linemate.simulators.judge.rows import CLAMPED, Rows, empty
 
 CYCLE = 0.012
 NOT_FIXING = np.zeros(1000, np.bool_)
@@ -71,12 +70,3 @@ def test_a_short_contact_has_no_window() -> None:
     figures = contact_figures(rows, NOT_FIXING)
     assert figures is not None
     assert figures["oscillation_mm"] == {"first": None, "last": None, "worst": None}
-
-
-def test_an_archive_without_these_columns_is_read_with_zeros(tmp_path: Path) -> None:
-    path = tmp_path / "rows.npz"
-    save(contact(1e-3), path)
-    with np.load(path) as archive:
-        old = {k: archive[k] for k in archive.files if k not in {"sway", "energy", "relative"}}
-    np.savez_compressed(path, **old)
-    assert not load(path).sway.any()

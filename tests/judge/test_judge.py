@@ -12,17 +12,7 @@ from linemate.simulators.devices.limit_judge import AxisLimit
 from linemate.simulators.judge import judge as judging
 from linemate.simulators.judge import table
 from linemate.simulators.judge.judge import RunEvidence, StateChange, Telegrams, judge
-from linemate.simulators.judge.rows import (
-    CLAMPED,
-    FREE,
-    PHASES,
-    STATES,
-    DaemonEvent,
-    Rows,
-    empty,
-    load,
-    save,
-)
+from linemate.simulators.judge.rows import CLAMPED, FREE, PHASES, STATES, DaemonEvent, Rows, empty
 from linemate.simulators.plants.scenario import Scenario
 
 CYCLE = 0.012
@@ -363,12 +353,3 @@ def test_contact_force_is_reported_in_newtons() -> None:
 
 def test_virtual_time_has_no_computing_time() -> None:
     assert judge(evidence(perfect_run()))["step_us"] == {"p50": None, "p99": None, "max": None}
-
-
-def test_rows_survive_their_archive(tmp_path: Any) -> None:
-    rows = replace(perfect_run(), events=events_of((5.1, "stop", "tentative")))
-    save(rows, tmp_path / "rows.npz")
-    again = load(tmp_path / "rows.npz")
-    assert again.events == rows.events
-    assert np.array_equal(again.sensed, rows.sensed)
-    assert judge(evidence(again)) == judge(evidence(rows))

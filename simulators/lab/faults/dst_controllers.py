@@ -8,7 +8,6 @@ Invariants:
 from collections import Counter
 from collections.abc import Callable
 
-from linemate.daemon.config.settings import ControllerKind
 from linemate.protocol.fanuc.packets import PacketKind, write_short
 from linemate.simulators.devices.fanuc.fanuc_controller import FanucController
 from linemate.simulators.devices.links.robot_program import Controller
@@ -30,11 +29,6 @@ UNCERTAIN_S = 0.1
 EXPECTED = frozenset({"not_ready", "no_stream", "unclean_stop", "sequence"})
 """Refusals that cost nothing: a command in flight as motion or stream ended, and EGM's
 reply to an older message."""
-
-
-def family(cell: str) -> ControllerKind:
-    """Return the family of a cell's controller."""
-    return station(cell).config.controller.kind
 
 
 def build(

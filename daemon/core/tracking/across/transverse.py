@@ -118,13 +118,6 @@ class Transverse(CameraErrorModel):
             shrinkage=shrinkage,
         )
 
-    def widened(self, state: TransverseState, deviation: float) -> TransverseState:
-        """Return the estimate with ``deviation`` [m] added to its position's standard deviation."""
-        P = state.P.copy()
-        P[X, X] += deviation**2
-        P[Z, Z] += deviation**2
-        return replace(state, P=P)
-
     def unsure_across(self, state: TransverseState, deviation: float) -> TransverseState:
         """Return the estimate with ``deviation`` [m] added to that of x, and not of its depth."""
         P = state.P.copy()
