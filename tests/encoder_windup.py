@@ -73,7 +73,7 @@ class WindupResult:
     """Result for one axis.
 
     Attributes:
-        depth, lag: outcomes [rad], [s].
+        depth, lag: of the axis, as outcomes [rad], [s].
         residual: root mean square of what the model leaves [rad].
     """
 

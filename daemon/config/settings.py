@@ -142,7 +142,7 @@ class DistanceSettings:
     Attributes:
         can: arguments of ``can.Bus``: interface, channel and others.
         dbc: a bare name may be a shipped one.
-        message, signal: in the DBC.
+        message, signal: names in the DBC, as it writes them.
         strength: signal of the signal strength. None searches the DBC for it.
         can_id: instead of the DBC's.
         step_m: size of one count instead of the DBC's [m].

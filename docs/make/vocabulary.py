@@ -203,7 +203,7 @@ NAMED: dict[str, tuple[str, ...]] = {
 SHORTEST_ENTRY = 4  # words of an Args or Attributes entry
 CLASSES_USED_TWICE = 4
 
-_ENTRY = re.compile(r"^\s+\*{0,2}(\w+)(?: \([^)]*\))?: (.+)$")
+_ENTRY = re.compile(r"^\s+\*{0,2}(\w+(?:, \*{0,2}\w+)*)(?: \([^)]*\))?: (.+)$")
 _SECTIONS = ("Args:", "Attributes:")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 

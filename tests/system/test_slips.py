@@ -37,7 +37,7 @@ class Site:
     """The files of a good site, as plain values and text.
 
     Attributes:
-        config, task: plain values.
+        config, task: plain values, before they are written.
     """
 
     config: dict[str, Any]

@@ -20,7 +20,7 @@ class AxisBounds:
     """Limits of one axis and what follows from them and the cycle time, SI.
 
     Attributes:
-        lower, upper: position.
+        lower, upper: ends of the position [rad or m].
         change: largest change of the acceleration in one step.
         margin: tolerance for rounding, a millionth of the acceleration.
         braking_way: way beyond which full speed is allowed; it saves two square roots.
@@ -45,7 +45,7 @@ class Limits:
     """Limits of all axes as arrays (m,), SI, for commands that are a period apart.
 
     Attributes:
-        lower, upper: position.
+        lower, upper: ends of the position [rad or m].
         names: of the axes, for reasons.
     """
 

@@ -307,7 +307,7 @@ class Report(Struct, frozen=True, eq=False):
         sensed: x_f(k, 0) (6,) in c, or None.
         part: the object now (6,) in c, or None.
         speed: of the conveyor [m/s], or None.
-        motion, tentative, confidence, events: of the classifier.
+        motion, tentative, confidence, events: what the classifier decided in this step.
         force: mean force [N], or None without a sample.
         overload: the force exceeds the tool's limit.
         object_left: the object leaves the range of the linear axis, or is about to.

@@ -86,7 +86,7 @@ class CameraReader:
     TAKEOVER_NS, as the camera's port does it with senders.
 
     Attributes:
-        accepted, refused: number of messages.
+        accepted, refused: number of messages since the bridge began.
     """
 
     def __init__(self, name: str) -> None:

@@ -284,7 +284,7 @@ class HelperThreads:
 
     Attributes:
         wanted: the loop has a real-time priority.
-        granted, refused: number of threads.
+        granted, refused: number of threads that asked for their priority.
     """
 
     wanted: bool

@@ -95,7 +95,7 @@ class SwayBank(Struct, frozen=True, eq=False):
         base: the first reading of the body against the unit [m]; None before.
         source: of the last reading of the body.
         pushes: number of pushes that it remembers.
-        since_reading, since_evaluation, age: [s].
+        since_reading, since_evaluation, age: time since then, and since the bank began [s].
     """
 
     forced: ComplexArray

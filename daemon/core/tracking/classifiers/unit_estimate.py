@@ -21,8 +21,8 @@ class UnitEstimate(Struct, frozen=True):
     """The conveyor as the distance sensor alone sees it.
 
     Attributes:
-        position, speed: [m], [m/s].
-        variance, covariance, speed_variance: of both.
+        position, speed: along the conveyor [m], [m/s].
+        variance, covariance, speed_variance: of position and speed [m^2, m^2/s, m^2/s^2].
     """
 
     position: float

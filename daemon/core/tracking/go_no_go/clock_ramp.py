@@ -87,7 +87,7 @@ def extended(ramp: ClockRamp, low: float, high: float) -> ClockRamp:
     A clock that turns beyond a bound comes back to it before it goes on.
 
     Args:
-        low, high: bounds [steps].
+        low, high: bounds of the clock [steps].
     """
     last = ramp.planned[-1]
     bound = low if ramp.rate > 0 else high

@@ -128,7 +128,7 @@ def begun_before(
     Args:
         readings: (2, m), ages [s] and positions [m], newest last: since the class began.
         declared: change since then, from a steady motion without speed.
-        change, speed_deviation, deviation: as of ``find``.
+        change, speed_deviation, deviation: as ``find`` takes them.
     """
     ages, values = readings
     way, times = values - values[-1], ages[0] - ages
