@@ -9,7 +9,7 @@ Invariants:
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +21,7 @@ from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError, YamlDocument
 from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.reading.complaints import Complaint
+from linemate.daemon.config.section_checks import DRIFT_LEARNED, PlainValues, drifts
 from linemate.daemon.config.settings import Config
 from linemate.daemon.config.settings_tree import Settings
 from linemate.daemon.config.task_file import Task
@@ -165,4 +166,15 @@ def _complaints(over: YamlDocument, merged: Any) -> list[Complaint]:
         Complaint((key,), f"an overlay may hold {', '.join(_SECTIONS)}", at_key=True)
         for key in value
         if key not in _SECTIONS
-    ] + list(timeouts.complaints(merged))
+    ] + [*timeouts.complaints(merged), *_learned_drift(over, merged)]
+
+
+def _learned_drift(over: YamlDocument, merged: Any) -> Iterator[Complaint]:
+    """Yield a drift of the dead times over a configuration that learns the servos."""
+    values = PlainValues(merged)
+    if (
+        PlainValues(over.value).has("control", "drift")
+        and values.has("learning")
+        and drifts(values)
+    ):
+        yield Complaint(("control", "drift"), f"learning is set: {DRIFT_LEARNED} Remove this.")

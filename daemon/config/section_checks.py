@@ -24,6 +24,7 @@ T = TypeVar("T")
 
 LONGEST_SOCKET_PATH = 107  # bytes, of sockaddr_un
 BITRATES = (10_000, 1_000_000)  # of CAN [bit/s]
+DRIFT_LEARNED = "a longer dead time would be learned as a slower servo."
 
 _ADDRESSES: tuple[tuple[str, ...], ...] = (
     ("rsi", "bind"),
@@ -110,7 +111,8 @@ def complaints(
         bind = values.get(section, "bind", kind=str, default=_LOOPBACK)
         peer = values.get(section, "peer", kind=str)
         yield from _complaint((section, "bind"), _check_reached, bind, peer)
-    yield from _drift_and_learning(values)
+    if values.has("learning") and drifts(values):
+        yield Complaint(("learning",), f"control.drift is set: {DRIFT_LEARNED} Remove one of them.")
     bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)
     remote = values.get("command", "udp", "allow_remote", kind=bool, default=False)
     if bind and not remote:
@@ -118,15 +120,9 @@ def complaints(
     yield from _shared_ports(values, *robot)
 
 
-def _drift_and_learning(values: PlainValues) -> Iterator[Complaint]:
-    """Yield the contradiction of a dead time that drifts and servos that are learned."""
-    drifts = any(values.get("control", "drift", key, kind=float) for key in ("shorter", "longer"))
-    if drifts and values.has("learning"):
-        yield Complaint(
-            ("learning",),
-            "control.drift is set: a longer dead time would be learned as a slower servo. "
-            "Remove one of them.",
-        )
+def drifts(values: PlainValues) -> bool:
+    """Return whether dead times may drift, which servos that are learned contradict."""
+    return any(values.get("control", "drift", key, kind=float) for key in ("shorter", "longer"))
 
 
 def _complaint(

@@ -24,6 +24,7 @@ from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.config import LoadedConfig, device_complaints
 from linemate.daemon.config.documents import spelled
 from linemate.daemon.config.parameter_list import ChangeTime, Parameter
+from linemate.daemon.config.section_checks import DRIFT_LEARNED
 from linemate.daemon.config.settings_tree import SettingError, Settings
 from linemate.daemon.config.watch_settings import timeout_error
 from linemate.daemon.core import parameters as compiling
@@ -108,7 +109,7 @@ class ParameterService:
         if not changed:
             return {"changed": {}}
         reason = self._disordered(wanted) or self._beyond_robot(wanted)
-        reason = reason or self._beyond_devices(wanted)
+        reason = reason or self._beyond_devices(wanted) or self._learned_as_servos(wanted)
         reason = reason or self._untimely(changed)
         if reason is not None:
             return {"refused": reason}
@@ -167,6 +168,13 @@ class ParameterService:
         station = self.station
         complaints = device_complaints(station.config, wanted.tracking, station.count_m)
         return "; ".join(f"{spelled(c.path)}: {c.what}" for c in complaints) or None
+
+    def _learned_as_servos(self, wanted: Settings) -> str | None:
+        """Return why dead times may not drift, None if they may."""
+        drift = wanted.control.drift
+        if self.station.config.learning is None or not (drift.shorter or drift.longer):
+            return None
+        return f"control.drift: learning is set: {DRIFT_LEARNED} Remove learning first."
 
     def _changes(self, values: Mapping[str, Any], wanted: Settings) -> dict[str, dict[str, Any]]:
         """Return old and new value of each parameter that changes."""

@@ -388,6 +388,16 @@ def test_an_overlay_cannot_put_time_outs_out_of_their_order(tmp_path: Path) -> N
     assert "one.yaml:1:19: watch.missed_s: 0.06 s is longer than watch.link_lost_s" in line
 
 
+def test_an_overlay_lets_no_dead_time_drift_where_servos_are_learned(tmp_path: Path) -> None:
+    path = tmp_path / "linemated.yaml"
+    path.write_text("task: wheel.yaml\noverlays: [one.yaml]\nlearning: {}\n")
+    (tmp_path / "one.yaml").write_text("control: {drift: {longer: 0.05}}\n")
+    with pytest.raises(FileError) as caught:
+        config.load(path)
+    (line,) = caught.value.lines
+    assert "one.yaml:1:18: control.drift: learning is set" in line
+
+
 def test_a_difference_laid_over_its_base_gives_the_whole() -> None:
     base = {"a": 1, "b": {"c": [1, 2], "d": 2.0}, "e": "x"}
     whole = {"a": 1, "b": {"c": [1, 3], "d": 2.0}, "e": "y"}
@@ -413,6 +423,17 @@ def test_a_deviation_below_that_of_the_counts_is_refused_as_in_the_file(make: Ma
     here.cycles(3)
     answer = here.assign({NOISE: 0.001})
     assert answer["refused"].startswith(f"{NOISE}: 1 mm is less than counts of 10 mm have, 2.9 mm")
+
+
+@pytest.mark.parametrize("key", ["shorter", "longer"])
+def test_dead_times_may_not_drift_while_servos_are_learned(make: Make, key: str) -> None:
+    """A longer dead time would be learned as a slower servo, as in the file."""
+    here = make()
+    here.path.write_text(f"{TEXT}learning: {{}}\n")
+    here = make()
+    here.cycles(3)
+    answer = here.assign({f"control.drift.{key}": 0.05})
+    assert answer["refused"].startswith("control.drift: learning is set: a longer dead time would")
 
 
 def test_a_limit_wider_than_the_urdfs_is_refused_with_both(make: Make) -> None:
