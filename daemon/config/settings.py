@@ -360,7 +360,7 @@ class Config:
         state: directory for what operators save, and for the digests of tasks whose rehearsal was
             good: the next start leaves it out. None takes StateDirectory= of the unit.
         learning: limits for the servo models that each motion estimates again, for use once the
-            robot stands. None keeps the models.
+            robot stands; not with production. None keeps the models.
         learn_touches: correct ``tracking.camera.felt``, ``felt_depth`` and ``felt_turn`` by where
             good assemblies felt the object.
         learn_distance: correct ``tracking.distance.late`` and ``scale`` by how the tool moved on
