@@ -1,11 +1,16 @@
 """Servos are learned again from a whole wheel, by nothing but commands and answers."""
 
+from collections.abc import Sequence
 from functools import cache
 
+import numpy as np
 import pytest
+from msgspec import structs
 
+from linemate.daemon.core.control import adaptation
 from linemate.daemon.core.control.adaptation import AdaptationSettings
 from linemate.daemon.core.control.settings import ServoModel
+from linemate.daemon.core.horizon import Array
 from linemate.daemon.cycle.learning.servos import WORTH, Learner
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.simulators.harness import lockstep, setup
@@ -80,3 +85,38 @@ def test_a_robot_that_did_not_move_teaches_nothing() -> None:
     mine.record_motion([entry for entry in entries if entry.state == "idle"])
     assert not mine.ripe
     assert not mine.keep(mine.estimate_servos(mine.motion()), servos)
+
+
+def windows_of(patch: pytest.MonkeyPatch, entries: Sequence[LogEntry]) -> list[Array]:
+    """The setpoints (n, 7) of each window that is evaluated."""
+    windows: list[Array] = []
+
+    def update(*arguments: object) -> object:
+        windows.append(arguments[3].commands)  # type: ignore[attr-defined]
+        return arguments[2]
+
+    patch.setattr(adaptation, "update", update)
+    mine = learner(wheel(0.9)[0])
+    mine.record_motion(entries)
+    mine.estimate_servos(mine.motion())
+    return windows
+
+
+def test_a_window_joins_no_cycles_that_are_not_neighbours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps that the log has lost looked like a jump of the setpoints."""
+    _, entries = wheel(0.9)
+    largest = max(np.abs(np.diff(each, axis=0)).max() for each in windows_of(monkeypatch, entries))
+    lost = [*entries[:600], *entries[660:]]
+    windows = windows_of(monkeypatch, lost)
+    assert len(windows) >= 4
+    assert max(np.abs(np.diff(each, axis=0)).max() for each in windows) <= largest
+
+
+def test_a_robot_without_a_command_holds_the_one_before(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, entries = wheel(0.9)
+    n, lost = 600, list(entries)
+    lost[n] = structs.replace(lost[n], inputs=structs.replace(lost[n].inputs, sent=False))
+    windows = np.vstack(windows_of(monkeypatch, lost))
+    whole = np.vstack(windows_of(monkeypatch, entries))
+    (row,) = np.flatnonzero((windows != whole).any(axis=1))
+    assert windows[row].tolist() == whole[row - 1].tolist() == list(entries[n - 2].outputs.command)
