@@ -4,13 +4,16 @@ Invariants:
 - No port is opened and no file is written. The daemon starts from the same functions.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from linemate.daemon.commissioning.kept_rehearsals import KeptRehearsals
 from linemate.daemon.commissioning.rehearsal import Peak, rehearse
 from linemate.daemon.config import config
+from linemate.daemon.config import overlays as overlay_files
+from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.config import LoadedConfig
 from linemate.daemon.config.documents import FileError
 from linemate.daemon.config.reading.complaints import Complaint
@@ -46,8 +49,15 @@ def check(path: Path, overlays: Sequence[Path] = (), *, keeps: bool = False) -> 
         keeps: leave out rehearsals that the state directory knows as good.
 
     Raises:
-        FileError: what is wrong.
+        FileError: what is wrong, and which saved parameter lets it be.
     """
+    try:
+        return _check(path, overlays, keeps=keeps)
+    except FileError as error:
+        raise FileError([*error.lines, *_faults_of_saved(path, overlays, error)]) from error
+
+
+def _check(path: Path, overlays: Sequence[Path], *, keeps: bool) -> CheckedConfig:
     station = config.load(path, overlays)
     kept = KeptRehearsals(station.state if keeps else None)
     compiled = compile_task(station, station.task)
@@ -87,3 +97,54 @@ def rehearsed(task: Task, compiled: Parameters) -> tuple[Peak, ...]:
     if rehearsal.complaints:
         raise FileError(task.lines(rehearsal.complaints))
     return rehearsal.peaks
+
+
+def _faults_of_saved(path: Path, overlays: Sequence[Path], error: FileError) -> list[str]:
+    """Return a line for each saved parameter without which the configuration is good.
+
+    Args:
+        error: which may name the file of what was saved already.
+    """
+    try:
+        station = config.load(path, overlays, saved=False)
+        saved = overlay_files.saved_by_operators(station.state)
+    except FileError:
+        return []
+    if saved is None or any(line.startswith(saved.name) for line in error.lines):
+        return []
+    if not _is_good(station, station.written):
+        return []
+    values = [each for each in _values(saved.value) if each[0][0] in tree.SECTIONS]
+    alone = [
+        key
+        for key, value in values
+        if not _is_good(station, tree.laid_over(station.written, key, value))
+    ]
+    what = (
+        "saved by an operator; without it the configuration is good. Delete it here, or the file "
+        "to drop everything that was saved."
+    )
+    return saved.lines(Complaint(key, what) for key in alone or [key for key, _ in values])
+
+
+def _values(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], Any]]:
+    """Yield path and value of what an overlay holds; a list is one value."""
+    if not isinstance(value, dict):
+        yield path, value
+        return
+    for key, inner in value.items():
+        yield from _values(inner, (*path, key))
+
+
+def _is_good(station: LoadedConfig, settings: tree.Settings) -> bool:
+    """Return whether every task of a station fits other settings."""
+    whole = replace(
+        station.config, tracking=settings.tracking, control=settings.control, watch=settings.watch
+    )
+    station = replace(station, config=whole)
+    try:
+        for task in (station.task, *station.variants.values()):
+            rehearsed(task, compile_task(station, task))
+    except FileError:
+        return False
+    return not [*config.device_complaints(whole, settings.tracking, station.count_m)]

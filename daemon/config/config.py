@@ -110,11 +110,12 @@ class LoadedConfig:
         return sections[config.controller.kind]
 
 
-def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
+def load(path: Path, extra_overlays: Sequence[Path] = (), *, saved: bool = True) -> LoadedConfig:
     """Load a configuration file and everything that it names.
 
     Args:
         extra_overlays: laid over those that it names, as if it named them last.
+        saved: include what operators saved.
 
     Raises:
         FileError: every error at once.
@@ -145,7 +146,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = ()) -> LoadedConfig:
         for name, variant in named.variants.items()
     }
     texts["task"] = task.text
-    config = _with_urdf_limits(overlays.apply(document, config, base), task)
+    config = _with_urdf_limits(overlays.apply(document, config, base, saved=saved), task)
     texts |= task_file.geometry_text(config.control.geometry)
     _refuse_wider_limits(document, config, task)
     count_m = _count(config, named.dbc)

@@ -100,6 +100,18 @@ def apply_to_task(task: Task, config: Config, base: Path, *, is_variant: bool = 
     return task
 
 
+def saved_by_operators(folder: Path | None) -> YamlDocument | None:
+    """Return what operators saved, None if there is nothing.
+
+    Args:
+        folder: the directory for it, None without one.
+
+    Raises:
+        FileError: it cannot be read.
+    """
+    return None if folder is None or not (folder / NAME).exists() else _read(folder / NAME)
+
+
 def save(folder: Path, settings: Settings, written: Settings) -> Path:
     """Write what differs from the user's file; without a difference remove the overlay.
 

@@ -5,8 +5,8 @@ Invariants:
 - An error is reported as ``name: what``.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -59,6 +59,19 @@ def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
             yield from leaves(item, _joined(name, str(index)))
     else:
         yield name, plain(value)
+
+
+def laid_over(settings: Settings, path: Sequence[Any], value: Any) -> Settings:
+    """Return settings with one value of an overlay.
+
+    Args:
+        path: keys from the section on; a list is one value.
+    """
+    section, *keys = path
+    for key in reversed(keys):
+        value = {key: value}
+    whole = merge(plain(getattr(settings, section)), value)
+    return replace(settings, **{section: read_section(section, whole)})
 
 
 def change(settings: Settings, values: Mapping[str, Any]) -> Settings:
