@@ -16,6 +16,7 @@ from msgspec import Struct
 
 WINDOW = 100  # an accepted telegram is at most so many cycles ahead of the last one
 CONSISTENT = 3  # telegrams in one line that overrule the counter before
+TURN = 2**32  # a counter of 32 bits goes on from zero
 TOLERANCE = 4  # cycles by which counter and arrival may differ: a flipped bit is not a gap
 
 SESSION_GAP_S = 2.0  # silence that ends a session
@@ -281,6 +282,7 @@ class Exchange:
         Args:
             peer: its sender; another value is another controller.
         """
+        self._turn_over(counter)
         event = self._classify(counter, stamp_ns, peer)
         if event is not TelegramEvent.NEXT:
             self._undo_jump()
@@ -293,6 +295,17 @@ class Exchange:
         return TelegramDecision(
             transition.kind, transition.answer, missed, steps, self.session, self.step
         )
+
+    def _turn_over(self, counter: int) -> None:
+        """Count what came before from the side of a counter's end on which it is now."""
+        off = counter - self._last_counter
+        turn = TURN if off > 0 else -TURN
+        if self.step is None or abs(off - turn) > WINDOW * self.step:
+            return
+        self._last_counter += turn
+        self._anchor_counter += turn
+        self._line.counter += turn
+        self._missed = frozenset(old + turn for old in self._missed)
 
     def _classify(self, counter: int, stamp_ns: int, peer: Hashable) -> TelegramEvent:
         if self.state is ExchangeState.IDLE:

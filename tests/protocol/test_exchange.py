@@ -60,6 +60,22 @@ def test_a_counter_that_jumped_goes_on_from_there() -> None:
     assert (normal.kind, normal.missed, normal.steps) == (TelegramKind.NORMAL, 0, 1)
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_counter_of_32_bits_goes_on_from_zero(*, lost: bool) -> None:
+    """A controller that counts each cycle stopped the robot as its counter began again."""
+    exchange, first = Exchange(CYCLE_S), 2**32 - 4
+    cycles = [cycle for cycle in range(9) if not (lost and cycle in {3, 4})]
+    decisions = {
+        cycle: exchange.on_telegram((first + cycle) % 2**32, cycle * CYCLE_NS) for cycle in cycles
+    }
+    assert {decision.session for decision in decisions.values()} == {1}
+    assert sum(decision.steps for decision in decisions.values()) == 9
+    # One that was missed before the end, and an older one, come after it.
+    late = [exchange.on_telegram(first + n, 9 * CYCLE_NS + n).kind.value for n in (3, 2)]
+    assert late == ["late" if lost else "backward", "backward"]
+    assert exchange.on_telegram(5, 9 * CYCLE_NS + 9).kind is TelegramKind.NORMAL
+
+
 @pytest.mark.parametrize(("unmade", "made"), [(3, 1), (0, 0)])
 def test_a_flipped_counter_gets_its_steps_as_their_cycles_pass(unmade: int, made: int) -> None:
     feed = running()
