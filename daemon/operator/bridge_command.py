@@ -202,7 +202,7 @@ def main(args: argparse.Namespace) -> int:
     listen = args.listen or ([] if args.connect else [ENDPOINT])
     remote = [endpoint for endpoint in listen if not _is_loopback(endpoint)]
     if remote and not args.allow_remote:
-        raise UsageError(f"{', '.join(remote)} can be reached by others; say --allow-remote")
+        raise UsageError(f"{', '.join(remote)} can be reached by others; add --allow-remote")
     try:
         import zenoh
     except ImportError as error:

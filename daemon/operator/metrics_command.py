@@ -132,7 +132,7 @@ def main(args: argparse.Namespace) -> int:
         return OK if any(status is not None for status in statuses.values()) else NO_ANSWER
     host, port = args.listen
     if not ipaddress.ip_address(host).is_loopback and not args.allow_remote:
-        raise UsageError(f"{host} can be reached by others; say --allow-remote")
+        raise UsageError(f"{host} can be reached by others; add --allow-remote")
     try:
         asyncio.run(serve(make_server((host, port), stations, args.host)))
     except OSError as error:

@@ -59,7 +59,7 @@ def _serve(args: argparse.Namespace) -> int:
     is_local = ipaddress.ip_address(args.bind).is_loopback
     if not is_local and not (args.allow_remote and certificate):
         raise UsageError(
-            f"{args.bind} can be reached by others; say --allow-remote and give --certificate"
+            f"{args.bind} can be reached by others; add --allow-remote and give --certificate"
         )
     users = plc_users.read_users(args.users)
     try:

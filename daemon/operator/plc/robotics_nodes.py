@@ -13,7 +13,8 @@ from typing import Any, Final
 
 from asyncua import Server, ua
 
-from linemate.daemon.operator.plc.robotics_values import AXES, RoboticsValues
+from linemate.daemon.operator.plc.robotics_values import RoboticsValues
+from linemate.protocol.stamped_samples import AXES
 
 DI: Final = "http://opcfoundation.org/UA/DI/"
 ROBOTICS: Final = "http://opcfoundation.org/UA/Robotics/"

@@ -8,9 +8,8 @@ Reference: https://reference.opcfoundation.org/specs/OPC-40010-1/full, sections 
 """
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
-AXES: Final = ("A1", "A2", "A3", "A4", "A5", "A6", "E1")
 CYCLE, CONTINUOUS = 0, 1  # of ExecutionModeEnumeration: once, or part after part
 
 

@@ -64,7 +64,7 @@ def main(args: argparse.Namespace) -> int:
     if args.listen and args.connect:
         raise UsageError("--listen and --connect exclude each other")
     if not is_loopback(endpoint) and not args.allow_remote:
-        raise UsageError(f"{endpoint} can be reached by others; say --allow-remote")
+        raise UsageError(f"{endpoint} can be reached by others; add --allow-remote")
     try:
         domain = _domain(os.environ.get(DOMAIN) or "0") if args.domain is None else args.domain
     except argparse.ArgumentTypeError as error:
