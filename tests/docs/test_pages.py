@@ -152,6 +152,12 @@ def test_every_page_is_listed() -> None:
         assert f"]({page.name})" in decisions, page
 
 
+def test_the_architecture_has_every_package() -> None:
+    layers = (ROOT / "docs/architecture.md").read_text("utf-8").partition("\n## Processes")[0]
+    for path in (*ROOT.glob("daemon/*/__init__.py"), *ROOT.glob("simulators/*/__init__.py")):
+        assert re.search(rf"\b{path.parent.name}\b", layers), path.parent
+
+
 @pytest.mark.parametrize(
     "page", sorted((ROOT / "docs/decisions").glob("0*.md")), ids=lambda page: page.stem
 )

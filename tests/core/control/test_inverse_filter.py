@@ -141,7 +141,7 @@ def test_the_effectors_taps_sum_to_one(mode: EffectorMode, cycle_s: float) -> No
     assert inverse_filter.effector_inverse(mode, FILTERS, cycle_s).sum() == pytest.approx(1.0)
 
 
-def test_the_reach_is_that_of_the_reading_notes() -> None:
+def test_the_inverses_reach_as_far_as_their_settings_say() -> None:
     at_12 = inverse_filter.tap_steps(FILTERS.servo_past_s, FILTERS.servo_future_s, 0.012)
     at_4 = inverse_filter.tap_steps(FILTERS.servo_past_s, FILTERS.servo_future_s, 0.004)
     assert (at_12[0], at_12[-1]) == (-3, 8)

@@ -72,7 +72,7 @@ def test_without_a_damper_a_ramp_passes_unbiased(mass: float, cycle_s: float) ->
 
 
 @pytest.mark.parametrize(("damper", "bias_mm"), [(0.010, 0.25), (0.050, 4.0)])
-def test_a_damper_biases_a_ramp_as_the_reading_notes_say(damper: float, bias_mm: float) -> None:
+def test_a_damper_with_a_mass_biases_a_ramp_by_millimetres(damper: float, bias_mm: float) -> None:
     law = SmoothingSettings(mass=4e-3, damper=damper, steps_s=16 * 0.012)
     assert 1e3 * ramp_bias(law, 0.012) == pytest.approx(bias_mm, rel=0.05)
 
@@ -89,9 +89,7 @@ def test_no_mass_and_no_damper_is_no_smoothing() -> None:
 
 
 @pytest.mark.parametrize(("mass", "least_mm", "most_mm"), [(4e-3, 0.36, 0.40), (1e-3, 0.0, 0.1)])
-def test_a_swing_costs_what_the_reading_notes_say(
-    mass: float, least_mm: float, most_mm: float
-) -> None:
+def test_a_swing_costs_tenths_of_a_millimetre(mass: float, least_mm: float, most_mm: float) -> None:
     cycle_s = 0.012
     taps = smoothing_taps(SmoothingSettings(mass=mass), cycle_s)
     t = np.arange(600) * cycle_s
