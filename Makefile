@@ -20,7 +20,7 @@ SERVICES := linemated.service linemated@.service linemate-metrics.service linema
 help:
 	@echo "make demo     the wheel assembly in real time, ARGS=... for options; leaves out/demo"
 	@echo "make test     every test; ARGS=... goes to pytest"
-	@echo "make lint     ruff, mypy, import contracts"
+	@echo "make lint     ruff, mypy, import contracts, vocabulary"
 	@echo "make format   ruff's formatting and safe fixes"
 	@echo "make bench    what a step costs on this machine"
 	@echo "make dst      seeded fault runs in virtual time, SEEDS=FIRST:LAST; ARGS=... for options"
