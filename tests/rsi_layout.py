@@ -21,3 +21,22 @@ def config(send: str = "", receive: str = "", **settings_: str) -> RsiConfig:
         f"<RECEIVE><ELEMENTS>{elements(receive)}</ELEMENTS></RECEIVE></ROOT>"
     )
     return parse_config(text.encode("latin-1"))
+
+
+def six(names: str, value: str = "0.00000") -> str:
+    return " ".join(f'{names}{n}="{value}"' for n in range(1, 7))
+
+
+CARTESIAN = 'X="0.00000" Y="0.00000" Z="0.00000" A="0.00000" B="0.00000" C="0.00000"'
+
+# kss/test/test_message_builder.cc of KUKA's SDK.
+KUKA_SDK = (
+    f'<Rob Type="KUKA"><RIst {CARTESIAN}/><AIPos {six("A")}/><EIPos {six("E")}/>'
+    '<Delay D="15"/><IPOC>0</IPOC></Rob>'
+).encode()
+PLAIN = config(
+    """DEF_RIst DOUBLE INTERNAL
+    DEF_AIPos DOUBLE INTERNAL
+    DEF_EIPos DOUBLE INTERNAL
+    DEF_Delay LONG INTERNAL"""
+)
