@@ -147,21 +147,25 @@ class App:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._end: asyncio.Event | None = None
         self._production: ProductionCell | None = None
+        self._make_services(variants or {})
+
+    def _make_services(self, variants: Mapping[str, Parameters]) -> None:
+        """Make what serves operators, learns, and brings part after part."""
         self._parameters = ParameterService(
-            station, self.cycle, self._note_parameters, self._events.add
+            self._station, self.cycle, self._note_parameters, self._events.add
         )
         self._learners = Learners(
-            station,
+            self._station,
             self.cycle,
-            parameters.cycle_s,
+            self.cycle.parameters.cycle_s,
             lambda: self._parameters.settings,
             self._parameters.set,
             self._events.add,
         )
         self._production = build_production(
-            station,
+            self._station,
             self.cycle,
-            variants or {},
+            variants,
             self._parameters,
             self._events,
             self._recorder,
