@@ -627,6 +627,29 @@ def test_a_telegram_that_was_attended_is_followed_up_without_a_turn_of_the_loop(
     assert not station._is_attending
 
 
+@pytest.mark.parametrize(
+    ("since_s", "left_ms", "locked", "due"),
+    [
+        (0.9, 500.0, True, False),
+        (1.1, 500.0, True, True),
+        (1.1, 0.0, True, False),
+        (1.1, 0.0, False, True),
+        (2.0, 0.0, True, True),
+    ],
+)
+def test_what_is_done_once_a_second_waits_for_a_cycle_with_time(
+    *, since_s: float, left_ms: float, locked: bool, due: bool
+) -> None:
+    now_ns, app = time.monotonic_ns(), App
+    lock = SimpleNamespace(
+        is_locked=locked, lead_ns=2_000_000, next_ns=now_ns + 2_000_000 + round(1e6 * left_ms)
+    )
+    station: Any = SimpleNamespace(
+        _status_ns=now_ns - round(1e9 * since_s), _timer=SimpleNamespace(lock=lock)
+    )
+    assert app._is_status_due(station, now_ns) is due
+
+
 def test_poses_are_handed_in_over_the_socket_and_followed_until_a_stop(
     serve: Serve, task: Task
 ) -> None:
