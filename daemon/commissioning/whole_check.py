@@ -114,7 +114,8 @@ def _faults_of_saved(path: Path, overlays: Sequence[Path], error: FileError) -> 
         return []
     if not _is_good(station, station.written):
         return []
-    values = [each for each in _values(saved.value) if each[0][0] in tree.SECTIONS]
+    whole = saved.value if isinstance(saved.value, dict) else {}
+    values = [*_values({key: whole[key] for key in tree.SECTIONS if key in whole})]
     alone = [
         key
         for key, value in values

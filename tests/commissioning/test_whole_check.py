@@ -55,10 +55,13 @@ def test_a_start_names_the_saved_parameters_that_keep_it_from_running(
     )
 
 
-def test_saved_parameters_are_not_blamed_for_what_the_files_lack(tmp_path: Path) -> None:
+@pytest.mark.parametrize("saved", ["tracking: {bank: {penalty: 6.0}}\n", "# nothing\n"])
+def test_saved_parameters_are_not_blamed_for_what_the_files_lack(
+    tmp_path: Path, saved: str
+) -> None:
     path = tmp_path / "linemated.yaml"
     path.write_text("task: wheel.yaml\nstate: .\ntracking: {distance: {deviation: 0.01}}\n")
-    (tmp_path / overlays.NAME).write_text("tracking: {bank: {penalty: 6.0}}\n")
+    (tmp_path / overlays.NAME).write_text(saved)
     with pytest.raises(FileError) as refused:
         whole_check.check(path)
     (line,) = refused.value.lines
