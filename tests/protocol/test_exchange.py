@@ -76,6 +76,15 @@ def test_a_counter_of_32_bits_goes_on_from_zero(*, lost: bool) -> None:
     assert exchange.on_telegram(5, 9 * CYCLE_NS + 9).kind is TelegramKind.NORMAL
 
 
+@pytest.mark.parametrize(("ahead", "kind"), [(WINDOW, "gap"), (WINDOW + 1, "backward")])
+def test_a_counter_goes_on_from_zero_within_the_window(ahead: int, kind: str) -> None:
+    exchange, first = Exchange(CYCLE_S), 2**32 - 12 * 4
+    for cycle in range(4):
+        exchange.on_telegram(first + 12 * cycle, cycle * CYCLE_NS)
+    decision = exchange.on_telegram(12 * (ahead - 1), (3 + ahead) * CYCLE_NS)
+    assert decision.kind.value == kind
+
+
 @pytest.mark.parametrize(("unmade", "made"), [(3, 1), (0, 0)])
 def test_a_flipped_counter_gets_its_steps_as_their_cycles_pass(unmade: int, made: int) -> None:
     feed = running()
