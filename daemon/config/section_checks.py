@@ -111,12 +111,6 @@ def complaints(
         bind = values.get(section, "bind", kind=str, default=_LOOPBACK)
         peer = values.get(section, "peer", kind=str)
         yield from _complaint((section, "bind"), _check_reached, bind, peer)
-    if values.has("learning") and values.has("production"):
-        yield Complaint(
-            ("learning",),
-            "production compiles each variant at start: no servo model changes before a restart. "
-            "Remove learning, and identify the servos with `linemate identify`.",
-        )
     if values.has("learning") and drifts(values):
         yield Complaint(("learning",), f"control.drift is set: {DRIFT_LEARNED} Remove one of them.")
     bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)

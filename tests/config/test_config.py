@@ -447,20 +447,6 @@ def test_a_dead_time_that_drifts_and_servos_that_are_learned_contradict_each_oth
     assert any("learning: control.drift is set" in line for line in lines), lines
 
 
-def test_servos_are_not_learned_in_production_whose_variants_are_compiled_at_start(
-    write: Write,
-) -> None:
-    """Each motion wrote an event that its models are not used."""
-    production = (
-        "task: wheel.yaml\n"
-        "production: {variants: {sedan: wheel.yaml}, announced_at: -3.0, records: .}\n"
-    )
-    assert config.load(write(production)).variants
-    lines = errors(write(f"{production}learning: {{}}\n"))
-    (line,) = [line for line in lines if "learning" in line]
-    assert "learning: production compiles each variant at start" in line
-
-
 def test_an_overlay_says_where_camera_and_sensor_are(write: Write, tmp_path: Path) -> None:
     (tmp_path / "tool.yaml").write_text(
         "task: {arm: {camera_in_tcp: {position: [0.1, 0.2, 0.3]}, sensor_sign: -1}}\n"

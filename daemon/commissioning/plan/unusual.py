@@ -19,6 +19,11 @@ HEAVIER = 2.0  # mass over that which a mode of the mount shows
 
 def cautions(station: LoadedConfig) -> Iterator[str]:
     """Yield ``key: what is unusual, and what to check`` of a configuration and its task."""
+    if station.config.learning is not None and station.config.production is not None:
+        yield (
+            "learning: production compiles each variant at start, so no servo model is learned; "
+            "remove it, and identify the servos with `linemate identify`"
+        )
     yield from _of_servos(station.config.control)
     yield from _of_tracking(station.config.tracking)
     yield from _of_payload(station.config.control, station.config.tracking)

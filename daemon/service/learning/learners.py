@@ -100,9 +100,12 @@ class Learners:
 
 
 def build_servo_learner(station: LoadedConfig, cycle_s: float) -> Learner | None:
-    """Return the estimator of servo models, None if it is not configured."""
+    """Return the estimator of servo models, None without one.
+
+    Production compiles each variant at start: no servo model changes before a restart.
+    """
     settings = station.config.learning
-    if settings is None:
+    if settings is None or station.config.production is not None:
         return None
     axes = 7 if station.task.file.arm.linear_axis else 6
     return Learner(settings, station.written.control.servos[:axes], cycle_s)

@@ -55,6 +55,18 @@ def write(folder: Path, sections: dict[str, object], tool: dict[str, float]) -> 
             {},
             "tracking.sway.gain: 2 is more than a body that hangs has, 1.5",
         ),
+        (
+            {
+                "learning": {},
+                "production": {
+                    "variants": {"sedan": "task.yaml"},
+                    "announced_at": -3.0,
+                    "records": ".",
+                },
+            },
+            {},
+            "learning: production compiles each variant at start, so no servo model is learned",
+        ),
         ({}, {"released_after": 0.001}, "tool.released_after: 0.001 s is less than a clamp needs"),
     ],
 )
