@@ -343,11 +343,14 @@ class Stepper:
     def _coasted(self, gate: LimiterState, cycles: int) -> tuple[Axes, tuple[Axes, Axes]]:
         """Return setpoint, speed and acceleration of a controller that goes on by itself.
 
-        q + n T0 q', for n cycles without a command.
+        q + n T0 q', for n cycles without a command, until it stops with an alarm.
         """
-        position = gate.position + max(0, cycles) * self.parameters.cycle_s * gate.speed
+        cycle_s = self.parameters.cycle_s
+        longest = round(self._link.rules.accounted_s / cycle_s)
+        speed = gate.speed if cycles <= longest else 0.0 * gate.speed
+        position = gate.position + min(max(0, cycles), longest) * cycle_s * gate.speed
         rest = (0.0,) * len(position)
-        return tuple(position.tolist()), (tuple(gate.speed.tolist()), rest)
+        return tuple(position.tolist()), (tuple(speed.tolist()), rest)
 
     def _catch_up(self, stamp_ns: int, steps: int) -> None:
         """Make the steps of cycles whose telegrams did not come, unless the timer made them."""

@@ -1,14 +1,18 @@
 """Telegrams that do not come or come late: which steps are made, and from where."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from cycle_station import PERIOD, START, Station
 
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.core import step as stepping
+from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.core.tracking.task import Phase
-from linemate.daemon.cycle.steps import CATCH_UP_S
+from linemate.daemon.cycle.steps import CATCH_UP_S, Stepper
+from linemate.protocol.fanuc.fanuc_link import FanucLink
 
 
 @pytest.mark.parametrize("missing", [1, 3, 10])
@@ -299,3 +303,18 @@ def test_a_reply_to_a_flipped_counter_moves_no_robot_and_neither_do_the_steps_af
     assert (entered.sent, entered.pace) == (False, None)
     assert entered.applied == pytest.approx(held, abs=1e-9)
     assert moving.cycle.session.replies_lost == 1
+
+
+@pytest.mark.parametrize(("cycles", "coasted", "speed"), [(-1, 0, 0.5), (15, 15, 0.5), (60, 15, 0)])
+def test_a_controller_coasts_until_it_stops_with_its_alarm(
+    cycles: int, coasted: int, speed: float
+) -> None:
+    """Commands went on for as long as the robot was lost, in FAULT."""
+    stepper = SimpleNamespace(
+        parameters=SimpleNamespace(cycle_s=0.008), _link=SimpleNamespace(rules=FanucLink(3).rules)
+    )
+    zeros = np.zeros(1)
+    gate = LimiterState(np.ones(1), np.full(1, 0.5), zeros, zeros, zeros)
+    position, pace = Stepper._coasted(stepper, gate, cycles)  # type: ignore[arg-type]
+    assert position == pytest.approx((1.0 + 0.5 * 0.008 * coasted,))
+    assert pace == ((speed,), (0.0,))
