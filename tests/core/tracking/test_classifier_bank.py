@@ -598,6 +598,24 @@ def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: flo
     assert states[-1].motion is Motion.STANDING
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_frozen_sensor_that_shows_a_standing_object_again_is_no_start(seed: int) -> None:
+    """Its step was taken for a start that began 0.1 s before: 219 N."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    rng, truth, again_s = np.random.default_rng(seed), Truth(3.0, ((1.0, -STOP),)), 2.5
+    state = bank.initial(0.0)
+    for t in np.arange(T0, again_s + 0.3, T0):
+        at = float(truth.at(t))
+        frozen = 0.002 if 2.0 < t < again_s else 0.0
+        read = round((at + rng.normal(0.0, 2.5e-4) - frozen) * 1e3) / 1e3
+        rows = [PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0)]
+        if t > 1.8:
+            held = at + rng.normal(0.0, 1e-4)
+            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 1e-6, 20.0))
+        state = bank.advance(state, rows, T0)
+        assert ("start", "confirmed") not in state.events
+
+
 def pushed_on(support: float, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """Events of a stop during which the body is pushed along as if the conveyor went on."""
     monkeypatch.setitem(classifier_bank.SUPPORT, "start", support)

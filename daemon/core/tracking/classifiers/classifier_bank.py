@@ -237,7 +237,9 @@ class BankClassifier(BankModel):
         stronger = self._stronger(state)
         if stronger is not None:
             return stronger
-        step = self._step(state) if change_odds > settings.perceived else None
+        # A step of the readings moves no force: what the clamped tool measures well is a stop.
+        may_step = state.motion is Motion.RUNNING and not (state.contact and state.is_keen)
+        step = self._step(state) if may_step and change_odds > settings.perceived else None
         if step is not None and step.is_certain:
             return self._accept_step(state, step)
         if step is not None:
@@ -372,22 +374,17 @@ class BankClassifier(BankModel):
         )
 
     def _step(self, state: BankState) -> DistanceStep | None:
-        """Return the step of the distance sensor that looks like a stop; None without one.
-
-        A step of the readings moves no force: what the clamped tool measures well is a stop.
-        """
-        if state.motion is not Motion.RUNNING or (state.contact and state.is_keen):
-            return None
-        stop = self.changes[Motion.RUNNING]
-        prior = AmplitudePrior(stop, (self.bank.amplitude_deviation * stop) ** 2)
-        faster = self.faster_priors[Motion.RUNNING]
+        """Return the step of the distance sensor that looks like a change; None without one."""
+        change = self.changes[state.motion]
+        prior = AmplitudePrior(change, (self.bank.amplitude_deviation * change) ** 2)
+        faster = self.faster_priors[state.motion]
         return distance_step.find(
             self._readings(state),
             prior,
-            state.cruise,
-            RUNNING_DEVIATION,
+            *_steady_speed(state),
             self.distance_deviation,
-            faster and AmplitudePrior(stop, faster.variance * stop**2, faster.least, faster.odds),
+            faster
+            and AmplitudePrior(change, faster.variance * change**2, faster.least, faster.odds),
         )
 
     def _accept_step(self, state: BankState, step: DistanceStep) -> BankState:
@@ -399,7 +396,8 @@ class BankClassifier(BankModel):
         x[OFFSET] += step.size
         P[OFFSET, OFFSET] += step.deviation**2
         P[Y, Y] += (TAKEN * step.size) ** 2
-        events = (*state.events, ("stop", "cancelled")) if state.tentative else state.events
+        cancelled = ((NEXT[state.motion][1], "cancelled"),) if state.tentative else ()
+        events = (*state.events, *cancelled)
         readings = distance_step.levelled(state.readings, step)
         return replace(clear_banks(state), x=x, P=P, readings=readings, events=events)
 
@@ -418,12 +416,11 @@ class BankClassifier(BankModel):
         speed, deviation, limit = float(state.guide.x[V]), LED_DEVIATION, SURE_STOP
         priors = self.shown_priors[state.motion]
         if stands:
-            left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
-            speed, deviation = 0.0, math.hypot(STANDING_DEVIATION, left)
+            speed, deviation = _steady_speed(state)
             limit = self.bank.start_confirmed
         elif self._has_stop(state):
             # The bank has it, as one that the sensor denies, or behind a swing of the body.
-            speed, deviation = state.cruise, RUNNING_DEVIATION
+            speed, deviation = _steady_speed(state)
             limit = self.bank.stop_confirmed
         else:
             priors = priors[:1]  # a frozen sensor looks like a stop that is fast enough
@@ -441,6 +438,10 @@ class BankClassifier(BankModel):
         )
         if change is None:
             return None
+        step = self._step(state) if stands else None
+        if step is not None:
+            # A frozen sensor that shows the object again steps: no start goes so far at once.
+            return self._accept_step(state, step) if step.is_certain else None
         if stands and state.class_age < distance_check.SPAN_S:
             nominal = self.changes[state.motion]
             change = distance_change.begun_before(
@@ -527,16 +528,12 @@ class BankClassifier(BankModel):
         """Return the log odds of a change by the distance sensor alone, None if it has no say."""
         weights, readings, ramp = state.change.weights, self._readings(state), None
         change = self.changes[state.motion] * float(weights.dot(state.change.amplitudes))
-        deviation, speed = RUNNING_DEVIATION, state.cruise
+        speed, deviation = _steady_speed(state)
         if state.within_ramp or state.motion is Motion.STANDING:
             # The ramp before is no steady motion: that of a start hid a stop 0.5 s after it.
             readings = distance_check.since(readings, state.class_age)
         if state.motion in RAMPS:
             ramp = Ramp(state.class_age, self._ramp(state))
-        elif state.motion is Motion.STANDING:
-            speed = 0.0  # what is left of the stop before dies out
-            left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
-            deviation = math.hypot(STANDING_DEVIATION, left)
         return distance_check.log_odds(
             readings,
             float(weights.dot(state.changes.age)),
@@ -640,6 +637,15 @@ def _bound_tentative(state: BankState, before: BankState, dt: float) -> BankStat
     return replace(
         state, tentative=False, is_expired=True, tentative_s=0.0, events=(*state.events, event)
     )
+
+
+def _steady_speed(state: BankState) -> tuple[float, float]:
+    """Return the speed of a steady conveyor, and one sigma of it [m/s]."""
+    if state.motion is not Motion.STANDING:
+        return state.cruise, RUNNING_DEVIATION
+    # What is left of the stop before dies out.
+    left = REST_DEVIATION * math.exp(-state.class_age / LEFT_S)
+    return 0.0, math.hypot(STANDING_DEVIATION, left)
 
 
 def _softplus(value: float) -> float:
