@@ -44,6 +44,9 @@ MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which t
 FARTHEST = 1e3  # beyond it the square leaves too few digits for the other variances [m]
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
 FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
+# The sensor's health goes by the mean speed over 0.3 s, which is 0.05 m/s as a conveyor that brakes
+# by 0.1 m/s^2 is down to:
+SLOW_RAMP = 0.04  # [m/s], to the resolution
 AROUND = 3  # readings before and after a step whose medians are compared
 STEP_SIGMAS = 3.0  # by which the speed of readings that run on may differ
 STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a conveyor may explain it
@@ -260,6 +263,8 @@ def correct(
     sums = np.concatenate([bank.sums for bank in banks], axis=1)
     A, B = sums[0], sums[1]
     for measurement in measurements:
+        if _repeats_on_ramp(model, state, measurement):
+            continue
         off, S = _innovation(model, state, measurement, J, (_FIRST, middle, both))
         Ph, nu, minus_rho = off[:STATES], -float(off[STATES]), off[_FIRST:]
         gate = measurement.gate * math.sqrt(S)
@@ -336,6 +341,27 @@ def _innovation(
     return off, S
 
 
+def _repeats_on_ramp(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
+    """Return whether the distance sensor repeats itself as a slow conveyor goes on braking.
+
+    Its health excludes no sensor there: the conveyor may stop at once within few steps of the
+    resolution. A stop that is known brakes on as it did.
+    """
+    if state.motion is not Motion.STOPPING or measurement.source is not Source.DISTANCE:
+        return False
+    since = _since_change(state, measurement)
+    speed, slowed = float(state.x[V]), -since * float(state.x[ACCELERATION])
+    way = since * (speed + 0.5 * slowed)
+    # A sound sensor repeats itself for a step of its resolution, which is sqrt(12) of its noise.
+    return speed + slowed < SLOW_RAMP and way > math.sqrt(12.0) * model.distance_deviation
+
+
+def _since_change(state: BankState, measurement: PositionMeasurement) -> float:
+    """Return the age of the newest reading that differs from this one [s], infinity without one."""
+    ages, values = state.readings
+    return float(ages[values != measurement.value].min(initial=math.inf))
+
+
 def _is_frozen(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
     """Return whether the distance sensor repeats itself while the conveyor runs.
 
@@ -343,11 +369,10 @@ def _is_frozen(model: BankModel, state: BankState, measurement: PositionMeasurem
     than the filter to be widened, which then brakes a tool that is about to touch, and detects no
     stop in contact until it has settled again.
     """
-    ages, values = state.readings
     speed = float(state.x[V])
     if measurement.source is not Source.DISTANCE:
         return False
-    since = float(ages[values != measurement.value].min(initial=math.inf))
+    since = _since_change(state, measurement)
     # A sound sensor repeats itself for a step of its resolution, which is sqrt(12) of its noise.
     way = max(FROZEN_WAY, math.sqrt(12.0) * model.distance_deviation)
     return abs(speed) * since > way and since < FROZEN_S
