@@ -237,9 +237,11 @@ class BankClassifier(BankModel):
         stronger = self._stronger(state)
         if stronger is not None:
             return stronger
+        step = None
         # A step of the readings moves no force: what the clamped tool measures well is a stop.
         may_step = state.motion is Motion.RUNNING and not (state.contact and state.is_keen)
-        step = self._step(state) if may_step and change_odds > settings.perceived else None
+        if may_step and change_odds > settings.perceived:
+            step = self._step(state, self._readings(state))
         if step is not None and step.is_certain:
             return self._accept_step(state, step)
         if step is not None:
@@ -373,13 +375,13 @@ class BankClassifier(BankModel):
             MISSED_ODDS - prior.odds,
         )
 
-    def _step(self, state: BankState) -> DistanceStep | None:
-        """Return the step of the distance sensor that looks like a change; None without one."""
+    def _step(self, state: BankState, readings: Array) -> DistanceStep | None:
+        """Return the step of the readings that looks like a change; None without one."""
         change = self.changes[state.motion]
         prior = AmplitudePrior(change, (self.bank.amplitude_deviation * change) ** 2)
         faster = self.faster_priors[state.motion]
         return distance_step.find(
-            self._readings(state),
+            readings,
             prior,
             *_steady_speed(state),
             self.distance_deviation,
@@ -438,7 +440,7 @@ class BankClassifier(BankModel):
         )
         if change is None:
             return None
-        step = self._step(state) if stands else None
+        step = self._step(state, readings) if stands else None
         if step is not None:
             # A frozen sensor that shows the object again steps: no start goes so far at once.
             return self._accept_step(state, step) if step.is_certain else None
