@@ -365,17 +365,24 @@ def finish(
         return state, _outputs(state, inputs, planned.report, None, "hold", parameters)
     tracker = planned.tracker
     if planned.path is None and planned.follow is None:
+        is_lost = not inputs.sent and inputs.pace is None
         tracker = contact_decision.update_contact(
             parameters.tracker,
             state.tracker,
             planned.tracker,
             planned.report,
-            held=not inputs.sent and inputs.pace is None,
+            held=is_lost,
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
         if retraction.is_interrupted(parameters.tracker, tracker):
             state = _withdraw_again(delivered, tracker, planned.windup, parameters)
             return state, _outputs(state, inputs, planned.report, None, "no reply", parameters)
+        if (is_lost or tracker.slowed) and inputs.order is not MotionOrder.RETREAT:
+            tracker, is_paused = retraction.pause(
+                parameters.tracker, state.tracker, tracker, is_lost=is_lost
+            )
+            if is_paused:
+                delivered, desired = _paused(delivered, desired, is_lost=is_lost)
     # A clamp may have closed unfelt: it is pulled as one that was felt. The distance is infinite
     # before a task is tracked.
     clamped = state.tracker.contact or state.tracker.clamped or abs(state.tracker.distance) < NEAR
@@ -392,10 +399,30 @@ def finish(
         path=planned.path,
         follow=planned.follow,
     )
-    outputs = _outputs(state, inputs, planned.report, horizon.poses, held, parameters)
+    outputs = _outputs(state, inputs, planned.report, tracker.poses, held, parameters)
     if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
     return state, outputs
+
+
+def _paused(
+    state: StepState, desired: control.DesiredCommand, *, is_lost: bool
+) -> tuple[StepState, control.DesiredCommand]:
+    """Return the state and the desired command of a plan that pauses: the last one again.
+
+    Args:
+        state: with the limiter at the command that the robot executes.
+        desired: command of the plan that follows.
+        is_lost: the robot stands, for it did not get the last one; else it goes half the way.
+    """
+    limiter = state.control.limiter
+    command = limiter.desired
+    if is_lost:
+        limiter = command_limiter.at_rest(state.applied)
+    elif desired.command is not None:
+        command = 0.5 * (command + desired.command)
+    held = replace(state.control, limiter=limiter)
+    return replace(state, control=held), control.DesiredCommand(held, command)
 
 
 def _withdraw_again(

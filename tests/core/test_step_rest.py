@@ -92,6 +92,26 @@ def test_a_retreat_goes_on_for_a_second_towards_where_the_programme_leaves_the_o
     assert -depth(world.outputs) > 0.21
 
 
+def test_a_tool_that_leaves_the_object_does_not_catch_up_with_commands_that_were_lost(
+    assembly: Assembly,
+) -> None:
+    """A catch-up at twice the speed shook the free tool with 422 N half a period after its stop."""
+    released = next(k for k, o in enumerate(assembly.outputs) if o.phase is Phase.RETREAT)
+    k = next(k for k in range(released, 10**6) if assembly.states[k].tracker.distance < -0.05)
+    state, stands = assembly.states[k], assembly.states[k].applied
+    plain = np.diff([outputs.command for outputs in assembly.outputs[k : k + 80]], axis=0)
+    commands = []
+    for i, inputs in enumerate(assembly.inputs[k : k + 80]):
+        lost = {"sent": False, "applied": tuple(stands.tolist())} if i < 8 else {}
+        state, outputs = step(state, replace(inputs, **lost), P)
+        commands.append(outputs.command)
+    steps = np.linalg.norm(np.diff(commands[7:], axis=0), axis=1)
+    usual = np.linalg.norm(plain, axis=1)
+    assert steps.max() < 1.1 * usual.max()
+    # Two halves of a start, half a period of the free tool apart, cancel each other's swing.
+    assert steps[1:8].mean() == pytest.approx(0.5 * usual[:8].mean(), rel=0.1)
+
+
 def test_a_free_tool_that_brakes_on_hold_stands_before_it_withdraws() -> None:
     world = tracking(2.4)
     world.run(0.06, MotionOrder.HOLD)

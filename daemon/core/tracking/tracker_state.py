@@ -189,6 +189,8 @@ class TrackerState(Struct, frozen=True, eq=False):
         placed: the camera has seen the object where the distance sensor leads it to.
         blind_s: time since the last reading of the distance sensor [s].
         stood: time without a command, in which the robot stood still [s].
+        slowed: steps left of a plan that goes on at half its speed after such a time; below 0 while
+            one catches up.
         clock_stood: time for which the task's clock has stood at its gate [s].
         carried: way of the programmed tool along the conveyor while the clock stood before [m].
         speed: of the conveyor, as it was last estimated [m/s].
@@ -266,6 +268,7 @@ class TrackerState(Struct, frozen=True, eq=False):
     placed: bool = False
     blind_s: float = 0.0
     stood: float = 0.0
+    slowed: int = 0
     clock_stood: float = 0.0
     carried: float = 0.0
     speed: float = 0.0

@@ -79,6 +79,12 @@ def advanced(
     return later if is_eased else replace(later, begun=0.0, rate=0.0, age=math.inf)
 
 
+def left_behind(shift: TargetShift, way: float) -> TargetShift:
+    """Return the shift of a target that stayed behind its object by one more way [m]."""
+    now, soon = remaining(shift, np.array((0.0, RATE_S))).tolist()
+    return replace(shift, begun=now - way, rate=(soon - now) / RATE_S, age=0.0)
+
+
 def duration(shift: TargetShift) -> float:
     """Return how long the target needs for a shift [s]."""
     way = math.sqrt(PEAK * abs(shift.begun) / ACCELERATION)

@@ -75,6 +75,7 @@ def rest(tracker: Tracker, state: TrackerState, pose: Array, axis: float) -> Tra
         search=guard.NO_SEARCH,
         distance=math.inf,
         stood=0.0,
+        slowed=0,
         go=GO,
         ramp=RUNNING,
         compliance=compliance.NO_COMPLIANCE,

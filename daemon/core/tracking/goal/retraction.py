@@ -6,6 +6,7 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import approach, linear_axis, merge
+from linemate.daemon.core.tracking.go_no_go import target_shift
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.task_clock import LARGEST_BEND
 from linemate.daemon.core.tracking.touch import release, withdrawal
@@ -13,6 +14,7 @@ from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
 HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
+LARGEST_LAG = 0.009  # of one that is nearer; beyond it the plan runs on, to catch up at once [m]
 
 
 def is_interrupted(tracker: Tracker, state: TrackerState) -> bool:
@@ -68,6 +70,51 @@ def withdraw(
     if state.gone > 0.0:
         goal[:, merge.ALONG] -= state.speed * withdrawal.lag(times)
     return state, goal
+
+
+def pause(
+    tracker: Tracker, before: TrackerState, after: TrackerState, *, is_lost: bool
+) -> tuple[TrackerState, bool]:
+    """Return the state of a tool that may leave, and whether its last plan is commanded once more.
+
+    Where the plan ran on, the robot caught up with it half a period of the free tool after its
+    stop: both swings added up. So the object alone goes on, and the tool follows it gently.
+
+    Args:
+        before: of the step that made that plan.
+        after: of the step that would follow it.
+        is_lost: the robot did not get that command; else the plan goes on at half its speed.
+    """
+    is_leaving = Gate.WHEEL_RELEASED in after.passed and after.releasing is not None
+    if not is_leaving or after.withdrawn is not None:
+        return after, False
+    shift = target_shift.left_behind(after.shift, after.speed * tracker.cycle_s)
+    if is_lost:
+        _, off = tracker.table.ahead(before.time + release.STANDING_S, np.inf, 0)
+        is_near = off[0, 2] > -HUB_DEPTH
+        if after.slowed < 0 or (is_near and abs(shift.begun) > LARGEST_LAG):
+            shift = replace(shift, begun=0.0, rate=0.0)
+            return replace(after, shift=shift, slowed=-1), False
+        # Two halves of a start, half a period apart, cancel each other's swing.
+        half = np.mean([swing.half for swing in (tracker.vibration, *tracker.across)])
+        is_slow = not is_near and after.stood > LONGEST_CATCH_UP_S
+        slowed = 2 * round(0.5 * half) if is_slow else 0
+    else:
+        slowed = max(after.slowed - 1, 0)
+        if slowed % 2 == 0:
+            return replace(after, slowed=slowed), False
+    plan = replace(
+        after,
+        poses=before.poses,
+        calming=before.calming,
+        axis=before.axis,
+        distance=before.distance,
+        time=before.time,
+        ramp=before.ramp,
+        shift=shift,
+        slowed=slowed,
+    )
+    return plan, True
 
 
 def _further(tracker: Tracker, state: TrackerState, part: Array | None) -> float:
