@@ -148,7 +148,7 @@ def test_x8_an_opened_tool_that_leaves_does_not_catch_up_and_swings_below_200_n(
 
 
 def test_x8_140_ms_as_the_opened_tool_begins_to_leave_drag_it_along_no_hub() -> None:
-    """The stop alone brings it 11 mm behind the hub, of which it bears 12."""
+    """The stop alone brings it 11 mm behind the hub; from 12 on it is dragged."""
     found = peaks("wheel", 12, {14.9: 0.14}, State.RETREAT)
     assert found[14.9] < 1.7 * FORCE_N
 

@@ -28,7 +28,7 @@ def update_tare(tracker: Tracker, state: TrackerState, raw: Wrench | None) -> Tr
         return state if later is state.tare else replace(state, tare=later)
     if state.contact and _is_unloading(tracker, state):
         delay = tracker.compliance.delays[0] * tracker.cycle_s
-        later = tare.unloaded(state.tare, tracker.settings.tactile, tracker.cycle_s, delay)
+        later = tare.unloaded(state.tare, tracker.cycle_s, delay)
         return state if later is state.tare else replace(state, tare=later)
     near = tare.frozen_within(tracker.task.guard.clearance, tracker.settings.payload.bolts)
     is_free = state.started and not state.contact and -math.inf < state.distance < -near

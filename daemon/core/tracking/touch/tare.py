@@ -10,7 +10,7 @@ Invariants:
   what its force changes as gravity turns in it the weight is estimated, whatever the bias.
 - What the wheel weighed is gone when it is released. A hub that holds it takes over what would bend
   the mount by more than ``LARGEST_SPRING``: a tool springs up by twice the sag as a clamp opens.
-  A weight that the sensor shows counts there, if it is clearly more than the configured one.
+- A weight that the sensor shows counts, if it is clearly more than the configured one.
 - A part of known weight is taken over whole, wherever sensor and tcp were zeroed: the target is
   lowered by what the mount springs up without it, as far as the overload allows.
 - A sensor may have been zeroed with the payload on: the mean of the free tool shows whether it was.
@@ -84,6 +84,8 @@ class Tare(Struct, frozen=True, eq=False):
         part: (6,) deflection of the mount by the part that the object keeps [m, rad], None if its
             weight is not known. ``share`` and ``borne`` are of that, then.
         turning: of the tool in its approach.
+        shown: mean force along gravity in it [N].
+        known: weight that is configured [N]; 0 for none.
         is_turned: the sag is of a weight that turned alone, not of the whole weight.
         empty: (3,) mean force of the tool since it released the wheel [N], None before.
         emptied: time since then [s].
@@ -98,6 +100,8 @@ class Tare(Struct, frozen=True, eq=False):
     emptied: float = 0.0
     part: Array | None = None
     turning: Turning = UNTURNED
+    shown: float = 0.0
+    known: float = 0.0
     is_turned: bool = False
 
 
@@ -142,9 +146,12 @@ def updated(
         mean = tare.wrench + (dt / MEAN_S) * (mean - tare.wrench)
     x, y, z = (a - b for a, b in zip(down, nominal, strict=True))
     turning = turned(tare.turning, (raw[0], raw[1], raw[2]), (x, y, z), dt / MEAN_S)
-    sag, part = _sag(mean, down, payload, stiffness), _part(down, payload, mount)
+    along = raw[0] * down[0] + raw[1] * down[1] + raw[2] * down[2]
+    shown = tare.shown + dt / (MEAN_S * turning.count) * (along - tare.shown)
+    sag, part = _sag(mean, shown, down, payload, stiffness), _part(down, payload, mount)
     if sag is not None:
-        return Tare(mean, sag, part=part, turning=turning)
+        known = payload.mass * GRAVITY
+        return Tare(mean, sag, part=part, turning=turning, shown=shown, known=known)
     weight = min(turned_weight(turning), mount.overload_force)
     sag = _turned_sag(weight, (x, y, z), stiffness)
     return Tare(mean, sag, part=part, turning=turning, is_turned=sag is not None)
@@ -197,11 +204,18 @@ def _part(down: Vector3, payload: PayloadSettings, mount: TactileNoise) -> Array
 
 
 def _sag(
-    mean: Array, down: Vector3, payload: PayloadSettings, stiffness: Sequence[float]
+    mean: Array, shown: float, down: Vector3, payload: PayloadSettings, stiffness: Sequence[float]
 ) -> Array | None:
-    """Return the static deflection (6,) [m, rad], None without a weight."""
+    """Return the static deflection (6,) [m, rad], None without a weight.
+
+    Args:
+        shown: mean force along gravity [N]. A sensor that was zeroed with the payload on, or with a
+            part of it, shows less than its weight, and none shows more.
+    """
     if payload.mass > 0.0:
-        x, y, z = (payload.mass * GRAVITY * each for each in down)
+        known = payload.mass * GRAVITY
+        heavier = shown > known + WEIGHT_N and shown > SHARE * math.hypot(*mean[:3].tolist())
+        x, y, z = ((shown if heavier else known) * each for each in down)
         a, b, c = payload.centre
         weight = (x, y, z, b * z - c * y, c * x - a * z, a * y - b * x)
         sag: Array = np.array(weight) / np.array(stiffness)
@@ -224,9 +238,11 @@ def shown_weight(tare: Tare, mount: TactileNoise) -> tuple[float, float] | None:
     if tare.wrench is None or tare.sag is None or tare.is_turned:
         return None
     force, weight = tare.wrench[:3], tare.sag[:3] * np.array(mount.stiffness)
-    size, known = float(np.linalg.norm(force)), float(np.linalg.norm(weight))
-    along = float(force.dot(weight))
-    return (along / known, known) if size > WEIGHT_N and along > SHARE * size * known else None
+    size, sagging = float(np.linalg.norm(force)), float(np.linalg.norm(weight))
+    along = float(force.dot(weight)) / sagging
+    if size <= WEIGHT_N or along <= SHARE * size:
+        return None
+    return along, tare.known or sagging
 
 
 def carried(tare: Tare, mount: TactileNoise) -> Vector3:
@@ -287,7 +303,7 @@ def without_weight(tare: Tare, force: Vector3) -> Vector3:
     return (x, y, z)
 
 
-def unloaded(tare: Tare, mount: TactileNoise, dt: float, delay: float) -> Tare:
+def unloaded(tare: Tare, dt: float, delay: float) -> Tare:
     """Return the tare one step later, while the hub takes over a part of the weight.
 
     All of a part of known weight; else what is large.
@@ -295,7 +311,7 @@ def unloaded(tare: Tare, mount: TactileNoise, dt: float, delay: float) -> Tare:
     Args:
         delay: from the target to the tool's motion [s].
     """
-    given, duration = _given(tare, mount), UNLOADING_S if tare.part is None else HANDING_S
+    given, duration = _given(tare), UNLOADING_S if tare.part is None else HANDING_S
     if given <= 0.0:
         return tare
     lasted = 0.0 if tare.unloading is None else tare.unloading + dt
@@ -304,24 +320,14 @@ def unloaded(tare: Tare, mount: TactileNoise, dt: float, delay: float) -> Tare:
     return replace(tare, unloading=lasted, share=share, borne=borne)
 
 
-def _given(tare: Tare, mount: TactileNoise) -> float:
+def _given(tare: Tare) -> float:
     """Return the share of the weight that the hub takes over."""
     if tare.part is not None:
         return 1.0
     if tare.sag is None:
         return 0.0
     size = float(np.linalg.norm(tare.sag[:3]))
-    spring = size * (1.0 + _unknown_share(tare, mount))
-    return min((spring - LARGEST_SPRING) / size, 1.0) if spring > LARGEST_SPRING else 0.0
-
-
-def _unknown_share(tare: Tare, mount: TactileNoise) -> float:
-    """Return by what share the payload is heavier than known; 0 within a sensor's bias."""
-    shown = shown_weight(tare, mount)
-    if shown is None:
-        return 0.0
-    weight, known = shown
-    return weight / known - 1.0 if weight > known + WEIGHT_N else 0.0
+    return max(1.0 - LARGEST_SPRING / size, 0.0)
 
 
 def is_misjudged(weight: float, known: float) -> bool:
