@@ -284,15 +284,38 @@ def in_contact(
     state = structs.replace(CONTACT.initial(float(truth.at(-1.5))), impulse_age=-1.5 - pushed_s)
     events = []
     for t in np.arange(-1.5 + T0, seconds, T0):
-        read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
-        felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
-        rows = [
-            PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
-            PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 20.0),
-        ]
-        state = CONTACT.advance(state, rows, T0)
+        state = CONTACT.advance(state, contact_rows(truth, push, float(t), rng), T0)
         events += [(float(t), kind, what) for kind, what in CONTACT.estimate(state).events]
     return events
+
+
+def contact_rows(
+    truth: Truth, push: Callable[[float], float], t: float, rng: np.random.Generator
+) -> list[PositionMeasurement]:
+    read = round((float(truth.at(t - 0.001)) + rng.normal(0.0, 0.00025)) * 1e3) / 1e3
+    felt = float(truth.at(t - 0.006)) + push(t - 0.006) + rng.normal(0.0, TOUCH)
+    return [
+        PositionMeasurement(Source.DISTANCE, read, 0.001, DEVIATION**2, 4.0),
+        PositionMeasurement(Source.TACTILE, felt, 0.006, TOUCH**2, 20.0),
+    ]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_impulse_keeps_the_onsets_of_a_stop_and_what_denies_them(seed: int) -> None:
+    """Cleared, they let the stop begin with the impulse, and brake faster for it: 305 N."""
+    truth, rng = Truth(1.2, ((0.4, -STOP),), seed=seed), np.random.default_rng(seed)
+    state = CONTACT.initial(float(truth.at(-1.5)))
+    for t in np.arange(-1.5 + T0, 0.49, T0):
+        state = CONTACT.advance(state, contact_rows(truth, lambda _: 0.0, float(t), rng), T0)
+    before, _ = onset_bank.likelihood_ratios(state.changes, PRIOR)
+    assert before.max() > 2.0
+    assert before.min() < -10.0
+    after = CONTACT._accept_impulse(state).changes
+    assert after.shares is not None
+    ratios, _ = onset_bank.likelihood_ratios(after, PRIOR)
+    assert ratios + np.log(after.shares) == pytest.approx(np.minimum(before, 0.0))
+    assert after.error == pytest.approx(state.changes.error)
+    assert after.age == pytest.approx(state.changes.age)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -574,7 +574,10 @@ class BankClassifier(BankModel):
         )
 
     def _accept_impulse(self, state: BankState) -> BankState:
-        """Return the state with the body's swing after an impulse in it, the banks cleared."""
+        """Return the state with the body's swing after an impulse in it, the impulses cleared.
+
+        The onsets of a change are kept: a body may be pushed as its conveyor stops already.
+        """
         bank = state.impulses
         response = np.zeros((STATES, len(bank)))
         response[IMPULSE], response[IMPULSE_QUADRATURE] = self.impulse_response(
@@ -588,6 +591,7 @@ class BankClassifier(BankModel):
             clear_banks(state),
             x=state.x + mean,
             P=state.P + spread,
+            changes=onset_bank.without_support(state.changes, self.change_prior),
             impulse_omega=self.likeliest_omega(state),
             impulse_age=0.0,
             faster=state.faster and against_impulse(state.faster, state.impulse.odds, mean),

@@ -251,6 +251,17 @@ def likelier(
     return wider if wider.odds > result.odds else result
 
 
+def without_support(bank: OnsetBank, prior: AmplitudePrior) -> OnsetBank:
+    """Return the bank once another cause explains what the readings show.
+
+    What supports an onset is dropped: it may be that cause's. What denies one stays.
+    """
+    shares = np.exp(np.minimum(likelihood_ratios(bank, prior)[0], 0.0))
+    sums = bank.sums.copy()
+    sums[:2] = 0.0
+    return OnsetBank(bank.error, sums, shares if bank.shares is None else shares * bank.shares)
+
+
 def oldest(bank: OnsetBank) -> OnsetBank:
     """Return the oldest hypothesis of a bank alone."""
     shares = None if bank.shares is None else np.ones(1)
