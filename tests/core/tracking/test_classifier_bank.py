@@ -301,21 +301,23 @@ def contact_rows(
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_impulse_keeps_the_onsets_of_a_stop_and_what_denies_them(seed: int) -> None:
-    """Cleared, they let the stop begin with the impulse, and brake faster for it: 305 N."""
+def test_an_accepted_impulse_keeps_all_onsets_and_what_denies_them(seed: int) -> None:
+    """Without onsets, a stop began with the impulse, and braked faster for it: 305 N."""
     truth, rng = Truth(1.2, ((0.4, -STOP),), seed=seed), np.random.default_rng(seed)
     state = CONTACT.initial(float(truth.at(-1.5)))
     for t in np.arange(-1.5 + T0, 0.49, T0):
         state = CONTACT.advance(state, contact_rows(truth, lambda _: 0.0, float(t), rng), T0)
-    before, _ = onset_bank.likelihood_ratios(state.changes, PRIOR)
-    assert before.max() > 2.0
-    assert before.min() < -10.0
-    after = CONTACT._accept_impulse(state).changes
-    assert after.shares is not None
-    ratios, _ = onset_bank.likelihood_ratios(after, PRIOR)
-    assert ratios + np.log(after.shares) == pytest.approx(np.minimum(before, 0.0))
-    assert after.error == pytest.approx(state.changes.error)
-    assert after.age == pytest.approx(state.changes.age)
+    pushed, prior = CONTACT._accept_impulse(state), CONTACT.impulse_prior
+    banks = (state.changes, pushed.changes, PRIOR), (state.impulses, pushed.impulses, prior)
+    for bank, kept, prior in banks:
+        before, _ = onset_bank.likelihood_ratios(bank, prior)
+        assert before.max() > 2.0
+        assert before.min() < 0.0
+        assert kept.shares is not None
+        ratios, _ = onset_bank.likelihood_ratios(kept, prior)
+        assert ratios + np.log(kept.shares) == pytest.approx(np.minimum(before, 0.0))
+        assert kept.error == pytest.approx(bank.error)
+        assert kept.age == pytest.approx(bank.age)
 
 
 @pytest.mark.parametrize("seed", range(3))

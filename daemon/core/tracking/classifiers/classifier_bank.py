@@ -574,9 +574,10 @@ class BankClassifier(BankModel):
         )
 
     def _accept_impulse(self, state: BankState) -> BankState:
-        """Return the state with the body's swing after an impulse in it, the impulses cleared.
+        """Return the state with the body's swing after an impulse in it.
 
-        The onsets of a change are kept: a body may be pushed as its conveyor stops already.
+        The onsets of both banks are kept. A body may be pushed as its conveyor stops already. What
+        the impulse leaves, another explains as well as a stop.
         """
         bank = state.impulses
         response = np.zeros((STATES, len(bank)))
@@ -592,6 +593,7 @@ class BankClassifier(BankModel):
             x=state.x + mean,
             P=state.P + spread,
             changes=onset_bank.without_support(state.changes, self.change_prior),
+            impulses=onset_bank.without_support(bank, self.impulse_prior),
             impulse_omega=self.likeliest_omega(state),
             impulse_age=0.0,
             faster=state.faster and against_impulse(state.faster, state.impulse.odds, mean),
