@@ -576,8 +576,8 @@ class BankClassifier(BankModel):
     def _accept_impulse(self, state: BankState) -> BankState:
         """Return the state with the body's swing after an impulse in it.
 
-        The onsets of both banks are kept. A body may be pushed as its conveyor stops already. What
-        the impulse leaves, another explains as well as a stop.
+        The onsets of both banks are kept for one that gives way. It may be pushed as its conveyor
+        stops already. What the impulse leaves, another explains as well as a stop.
         """
         bank = state.impulses
         response = np.zeros((STATES, len(bank)))
@@ -588,12 +588,15 @@ class BankClassifier(BankModel):
         events = [*state.events, ("push", "confirmed")]
         if state.tentative:
             events.append((NEXT[state.motion][1], "cancelled"))
+        after = clear_banks(state)
+        if not state.is_firm:  # a firm one moves with its conveyor: its force shows one cause
+            changes = onset_bank.without_support(state.changes, self.change_prior)
+            impulses = onset_bank.without_support(bank, self.impulse_prior)
+            after = replace(after, changes=changes, impulses=impulses)
         return replace(
-            clear_banks(state),
+            after,
             x=state.x + mean,
             P=state.P + spread,
-            changes=onset_bank.without_support(state.changes, self.change_prior),
-            impulses=onset_bank.without_support(bank, self.impulse_prior),
             impulse_omega=self.likeliest_omega(state),
             impulse_age=0.0,
             faster=state.faster and against_impulse(state.faster, state.impulse.odds, mean),
