@@ -214,8 +214,11 @@ def _sag(
     """
     if payload.mass > 0.0:
         known = payload.mass * GRAVITY
-        heavier = shown > known + WEIGHT_N and shown > SHARE * math.hypot(*mean[:3].tolist())
-        x, y, z = ((shown if heavier else known) * each for each in down)
+        is_weight = shown > SHARE * math.hypot(*mean[:3].tolist())
+        # Without a step: the mean moves across the limit, and the target would with it.
+        beyond = 2.0 * max(shown - known - WEIGHT_N, 0.0) if is_weight else 0.0
+        heavier = min(known + beyond, max(shown, known))
+        x, y, z = (heavier * each for each in down)
         a, b, c = payload.centre
         weight = (x, y, z, b * z - c * y, c * x - a * z, a * y - b * x)
         sag: Array = np.array(weight) / np.array(stiffness)
