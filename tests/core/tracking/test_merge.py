@@ -43,7 +43,7 @@ def farthest_after_a_corner(steps_before_commit: int) -> float:
 
     So does the clock of a task that goes on, and stands after all.
     """
-    plan = merge.compile_merge(MergeSettings(), 0.036, 0.004, 120, later=True)
+    plan = merge.compile_merge(MergeSettings(), 0.036, 0.004, 120, more=0.008)
     goal, poses = np.zeros((121, 6)), np.zeros((121, 6))
     late_s = 0.004 * np.maximum(np.arange(121) - (plan.commit - steps_before_commit), 0)
     poses[:, 2] = late_s**2 - 0.0028
@@ -71,7 +71,8 @@ def farthest_of_corners(dead_time: float, cycle_s: float, seed: int) -> float:
     Each begins at once, within 3 mm and 0.05 m/s, with a corner of its speed within 0.1 s.
     """
     random, count = np.random.default_rng(seed), round(0.5 / cycle_s)
-    plan = merge.compile_merge(MergeSettings(), dead_time, cycle_s, count, later=True)
+    more = merge.free_margin(cycle_s, 0.0)
+    plan = merge.compile_merge(MergeSettings(), dead_time, cycle_s, count, more=more)
     t = np.arange(count + 1) * cycle_s
     poses, goal, calming, farthest = np.zeros((count + 1, 6)), np.zeros((count + 1, 6)), 0, 0.0
     for _ in range(round(2.0 / cycle_s)):
@@ -126,18 +127,18 @@ def taken_up(plan: merge.MergePlan, cycle_s: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("cycle_s", "dead_time", "later_s"),
-    # By hand: a cycle and 8 ms instead of a cycle or 4 ms. At 24 ms five cycles are the least.
-    [(0.002, 0.036, 0.006), (0.004, 0.036, 0.008), (0.008, 0.120, 0.008), (0.012, 0.036, 0.008),
-     (0.024, 0.084, 0.008), (0.024, 0.036, 0.0)],
+    ("cycle_s", "dead_time", "spread_s", "later_s"),
+    # By hand: a cycle and 8 ms instead of a cycle or 4 ms; what is spread is a part of the 8 ms.
+    [(0.002, 0.039, 0.003, 0.003), (0.004, 0.036, 0.0, 0.008), (0.008, 0.120, 0.004, 0.004),
+     (0.012, 0.036, 0.0, 0.008), (0.024, 0.084, 0.012, 0.0)],
 )  # fmt: skip
 def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
-    cycle_s: float, dead_time: float, later_s: float
+    cycle_s: float, dead_time: float, spread_s: float, later_s: float
 ) -> None:
     steps = math.ceil(0.6 / cycle_s)
     free, clamped = (
-        merge.compile_merge(MergeSettings(), dead_time, cycle_s, steps, later=later)
-        for later in (True, False)
+        merge.compile_merge(MergeSettings(), dead_time, cycle_s, steps, more=more)
+        for more in (merge.free_margin(cycle_s, spread_s), 0.0)
     )
     assert free.committed_s - clamped.committed_s == pytest.approx(later_s, abs=1e-8)
     assert taken_up(free, cycle_s) == pytest.approx(taken_up(clamped, cycle_s), abs=0.1 * cycle_s)
@@ -147,7 +148,7 @@ def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
 def test_a_tool_without_a_mode_takes_a_goal_along_the_conveyor_up_earlier(cycle_s: float) -> None:
     steps, settings = math.ceil(0.6 / cycle_s), MergeSettings()
     plain, quick = (
-        taken_up(merge.compile_merge(each, 0.036, cycle_s, steps, later=False), cycle_s)
+        taken_up(merge.compile_merge(each, 0.036, cycle_s, steps), cycle_s)
         for each in (settings, merge.without_mode(settings))
     )
     # By hand: 3.236 tau of a fifth order less 2 tau of a third order.
@@ -161,9 +162,7 @@ def test_a_far_jump_of_a_clamped_tool_is_taken_up_without_swinging(
 ) -> None:
     """A stop that was confirmed after 0.2 s: 94 N before, and 151 N to the other side."""
     steps = round(0.5 / cycle_s)
-    plan = merge.compile_merge(
-        merge.without_mode(MergeSettings()), 0.036, cycle_s, steps, later=False
-    )
+    plan = merge.compile_merge(merge.without_mode(MergeSettings()), 0.036, cycle_s, steps)
     plan = replace(plan, largest_jump=merge.LARGEST_JUMP)
     poses, goal, calming, way = np.zeros((steps + 1, 6)), np.zeros((steps + 1, 6)), 0, []
     goal[:, 1] = jump
