@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linemate.daemon.core import rotations, wrench_frame
+from linemate.daemon.core import commitment, rotations, wrench_frame
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control import dead_time, kinematics, urdf_limits
 from linemate.daemon.core.control.settings import ControlSettings
@@ -170,16 +170,12 @@ def _tracker(
     cycle_s: float,
 ) -> Tracker:
     """Return the parameters of tracking, for a task as it is planned."""
-    spread_s = _spread_delay(control_settings, controller)
-    delay_s = _longest_dead_time(control_settings, controller) + spread_s
+    delay_s = _longest_delay(control_settings, controller)
     quick, plain = merge.without_mode(tracking.merge), tracking.merge
+    more = commitment.free_margin(plain, control_settings, delay_s, cycle_s)
     clamped, retreating, free = (
-        merge.compile_merge(settings, delay_s, cycle_s, controller.steps, more=more)
-        for settings, more in (
-            (quick, 0.0),
-            (plain, 0.0),
-            (plain, merge.free_margin(cycle_s, spread_s)),
-        )
+        merge.compile_merge(settings, delay_s, cycle_s, controller.steps, more=longer)
+        for settings, longer in ((quick, 0.0), (plain, 0.0), (plain, more))
     )
     table = tabulated(reference, cycle_s, controller.steps)
     span = np.arange(controller.steps + 1) * cycle_s
@@ -246,17 +242,13 @@ def _vibrations(
     ]
 
 
-def _longest_dead_time(settings: ControlSettings, controller: control.Controller) -> float:
-    """Return the longest dead time of an axis, with its drift [s]."""
+def _longest_delay(settings: ControlSettings, controller: control.Controller) -> float:
+    """Return the longest time from a desired pose to the pose of an axis [s]."""
     longest = max(model.dead_time for model in settings.servos[: controller.arm.axes])
-    return longest + dead_time.bounds(settings)[1]
-
-
-def _spread_delay(settings: ControlSettings, controller: control.Controller) -> float:
-    """Return what the spreading of commands adds, and (11) by reading whole cycles [s]."""
-    # At 8 ms it reads 16 ms instead of 12.
-    whole = controller.effector_future_s - settings.filters.effector_future_s
-    return controller.spreading_delay_s + whole
+    longest += dead_time.bounds(settings)[1] + controller.spreading_delay_s
+    # (11) reads whole cycles: at 8 ms 16 ms instead of 12.
+    longest += controller.effector_future_s - settings.filters.effector_future_s
+    return longest
 
 
 def _compliance(

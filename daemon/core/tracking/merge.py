@@ -25,10 +25,6 @@ ALONG = 1  # column of a pose along the conveyor
 
 SPACING_S = 0.002  # least distance of the five steps that a merge reads [s]
 MARGIN_S = 0.004  # committed beyond the first effect of a command, or a cycle if it is longer [s]
-# A tool that hangs free is committed for so much more than a cycle [s]: (11) and (12) read a plan
-# that may still change. The further taps weigh it with both signs, and cancel from there on: at
-# 2, 4, 8 and 12 ms the control error was least for 8, 8, 10 and 9 ms.
-FREE_MARGIN_S = 0.008
 DELAY_PER_TAU = 1.0 / math.sin(math.pi / 10.0)  # mean delay of the closed loop over tau
 # Share of tau along the conveyor for a clamped tool. A merge of fifth order gives servo and elastic
 # mode a bounded fourth derivative. A clamped tool has no such mode: for the servo third order is
@@ -86,9 +82,7 @@ def compile_merge(
         more: of time that is committed [s]. The merge is quicker by as much, so that a new goal is
             taken up no later in the mean.
     """
-    shortest = sum(commit_steps(dead_time, cycle_s))
-    commit, share = commit_steps(dead_time + more, cycle_s)
-    quicker = (commit + share - shortest) * cycle_s / DELAY_PER_TAU
+    commit, share, quicker = commitment(dead_time, more, cycle_s)
     along, across = (
         merge_matrix(tau - quicker, cycle_s, steps - commit, share)
         for tau in (settings.along, settings.across)
@@ -104,14 +98,11 @@ def compile_merge(
     )
 
 
-def free_margin(cycle_s: float, spread_s: float) -> float:
-    """Return how much longer a tool that hangs free is committed [s].
-
-    Args:
-        spread_s: part of the dead time that whole cycles of (11) and the spreading of commands
-            have added [s].
-    """
-    return max(0.0, FREE_MARGIN_S - max(MARGIN_S - cycle_s, 0.0) - spread_s)
+def commitment(dead_time: float, more: float, cycle_s: float) -> tuple[int, float, float]:
+    """Return nc, the share of the next step, and by how much tau is shorter for ``more`` [s]."""
+    shortest = sum(commit_steps(dead_time, cycle_s))
+    commit, share = commit_steps(dead_time + more, cycle_s)
+    return commit, share, (commit + share - shortest) * cycle_s / DELAY_PER_TAU
 
 
 def commit_steps(dead_time: float, cycle_s: float) -> tuple[int, float]:

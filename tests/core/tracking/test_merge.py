@@ -71,8 +71,7 @@ def farthest_of_corners(dead_time: float, cycle_s: float, seed: int) -> float:
     Each begins at once, within 3 mm and 0.05 m/s, with a corner of its speed within 0.1 s.
     """
     random, count = np.random.default_rng(seed), round(0.5 / cycle_s)
-    more = merge.free_margin(cycle_s, 0.0)
-    plan = merge.compile_merge(MergeSettings(), dead_time, cycle_s, count, more=more)
+    plan = merge.compile_merge(MergeSettings(), dead_time, cycle_s, count, more=0.008)
     t = np.arange(count + 1) * cycle_s
     poses, goal, calming, farthest = np.zeros((count + 1, 6)), np.zeros((count + 1, 6)), 0, 0.0
     for _ in range(round(2.0 / cycle_s)):
@@ -127,20 +126,18 @@ def taken_up(plan: merge.MergePlan, cycle_s: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("cycle_s", "dead_time", "spread_s", "later_s"),
-    # By hand: a cycle and 8 ms instead of a cycle or 4 ms; what is spread is a part of the 8 ms.
-    [(0.002, 0.039, 0.003, 0.003), (0.004, 0.036, 0.0, 0.008), (0.008, 0.120, 0.004, 0.004),
-     (0.012, 0.036, 0.0, 0.008), (0.024, 0.084, 0.012, 0.0)],
-)  # fmt: skip
+    ("cycle_s", "dead_time", "more"),
+    [(0.004, 0.036, 0.008), (0.008, 0.120, 0.006), (0.012, 0.036, 0.008), (0.024, 0.084, 0.012)],
+)
 def test_a_free_tool_is_committed_for_longer_and_takes_a_goal_up_no_later(
-    cycle_s: float, dead_time: float, spread_s: float, later_s: float
+    cycle_s: float, dead_time: float, more: float
 ) -> None:
     steps = math.ceil(0.6 / cycle_s)
     free, clamped = (
-        merge.compile_merge(MergeSettings(), dead_time, cycle_s, steps, more=more)
-        for more in (merge.free_margin(cycle_s, spread_s), 0.0)
+        merge.compile_merge(MergeSettings(), dead_time, cycle_s, steps, more=each)
+        for each in (more, 0.0)
     )
-    assert free.committed_s - clamped.committed_s == pytest.approx(later_s, abs=1e-8)
+    assert free.committed_s - clamped.committed_s == pytest.approx(more, abs=1e-8)
     assert taken_up(free, cycle_s) == pytest.approx(taken_up(clamped, cycle_s), abs=0.1 * cycle_s)
 
 
