@@ -282,7 +282,6 @@ class Exchange:
         Args:
             peer: its sender; another value is another controller.
         """
-        self._turn_over(counter)
         event = self._classify(counter, stamp_ns, peer)
         if event is not TelegramEvent.NEXT:
             self._undo_jump()
@@ -316,6 +315,7 @@ class Exchange:
         self._peer_ns = stamp_ns
         if stamp_ns - self._last_ns >= self._session_gap_ns:
             return TelegramEvent.OPENING
+        self._turn_over(counter)
         event = self._place(counter, stamp_ns)
         known = event in _KNOWN and stamp_ns - self._last_ns < self._peer_gap_ns
         in_line = self._line.extend(counter, stamp_ns, self._reach, self._cycle_ns, known=known)

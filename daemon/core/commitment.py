@@ -1,12 +1,13 @@
 """How long a plan is committed: until what the filters read of its changes cancels.
 
 (11) and (12) read steps behind the commit point nc, where the plan may still change. A goal that
-drifts by d a cycle changes step nc + i of the plan by ``d c_i``, c_i = 1 - sum of row i of M. Until
-that step is committed it has changed by ``d C_i``, C_i = c_1 + .. + c_i. So a command is wrong by
-``d S``, S = sum w_(nc+1+i) C_i over the taps w of both filters. They have both signs: S falls
-through zero as nc grows.
+drifts by d a cycle changes step nc + i of the plan by ``d c_i``, c_i = 1 - sum of row i of M. The
+step comes one nearer with each cycle: until step nc + 1 + i is committed it changes by ``d C_i``,
+C_i = c_1 + .. + c_i. So a command is wrong by ``d S``, S = sum w_(nc+1+i) C_i over the taps w of
+both filters. They have both signs: S falls through zero as nc grows.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -56,7 +57,8 @@ def _taps(control: ControlSettings, cycle_s: float) -> tuple[Array, int]:
     filters = replace(control.filters, servo_future_s=dead_time.future_reach(control))
     slowest = max(
         control.servos[:ARM_AXES],
-        key=lambda each: each.dead_time + each.damping / each.frequency_hz,
+        # Its delay on a ramp: D + 2 z / w.
+        key=lambda each: each.dead_time + each.damping / (math.pi * each.frequency_hz),
     )
     taps = inverse_filter.servo_inverse(slowest, filters, cycle_s)
     reach = inverse_filter.tap_steps(filters.servo_past_s, filters.servo_future_s, cycle_s)

@@ -76,6 +76,15 @@ def test_a_counter_of_32_bits_goes_on_from_zero(*, lost: bool) -> None:
     assert exchange.on_telegram(5, 9 * CYCLE_NS + 9).kind is TelegramKind.NORMAL
 
 
+def test_another_sender_turns_no_counter_over() -> None:
+    feed = running()
+    before = feed.exchange.foreseen()
+    assert before is not None
+    decision = feed.exchange.on_telegram(before[0] + 2**32, 5 * CYCLE_NS, "another")
+    assert decision.kind is TelegramKind.REFUSED
+    assert feed.exchange.foreseen() == before
+
+
 @pytest.mark.parametrize(("ahead", "kind"), [(WINDOW, "gap"), (WINDOW + 1, "backward")])
 def test_a_counter_goes_on_from_zero_within_the_window(ahead: int, kind: str) -> None:
     exchange, first = Exchange(CYCLE_S), 2**32 - 12 * 4

@@ -210,15 +210,16 @@ def _sag(
 
     Args:
         shown: mean force along gravity [N]. A sensor that was zeroed with the payload on, or with a
-            part of it, shows less than its weight, and none shows more.
+            part of it, shows less than its weight. One that was never zeroed shows the empty tool
+            as well: from twice the known weight on it says nothing of the payload.
     """
     if payload.mass > 0.0:
         known = payload.mass * GRAVITY
         is_weight = shown > SHARE * math.hypot(*mean[:3].tolist())
-        # Without a step: the mean moves across the limit, and the target would with it.
-        beyond = 2.0 * max(shown - known - WEIGHT_N, 0.0) if is_weight else 0.0
-        heavier = min(known + beyond, max(shown, known))
-        x, y, z = (heavier * each for each in down)
+        more = shown - known if is_weight else 0.0
+        # Without a step: the mean moves across a limit, and the target would with it.
+        more = max(min(more, 2.0 * (more - WEIGHT_N), 2.0 * (known - more)), 0.0)
+        x, y, z = ((known + more) * each for each in down)
         a, b, c = payload.centre
         weight = (x, y, z, b * z - c * y, c * x - a * z, a * y - b * x)
         sag: Array = np.array(weight) / np.array(stiffness)
