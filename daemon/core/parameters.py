@@ -18,7 +18,7 @@ from linemate.daemon.core.tracking.across.transverse import Transverse
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.conveyor import Classifier
 from linemate.daemon.core.tracking.damping import damped_until, free_table
-from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.estimation import prediction_error
 from linemate.daemon.core.tracking.reference import (
     Reference,
     compile_reference,

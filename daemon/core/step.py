@@ -23,14 +23,13 @@ from linemate.daemon.core.followed_poses import ChunkError, FollowedPoses
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.tracking import task_clock, tracker_state
+from linemate.daemon.core.tracking import contact_decision, task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.goal import rest_state, retraction
 from linemate.daemon.core.tracking.reference import Reference
 from linemate.daemon.core.tracking.task import Phase
-from linemate.daemon.core.tracking.touch import contact_decision
 from linemate.daemon.core.way_home import HomePath
 from linemate.protocol.stamped_samples import RobotSample
 

@@ -19,12 +19,12 @@ from linemate.daemon.core.tracking.classifiers.distance.measured_noise import (
     MeasuredNoise,
 )
 from linemate.daemon.core.tracking.conveyor import Classifier, Motion
-from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING, ClockRamp
-from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
-from linemate.daemon.core.tracking.go_no_go.prediction_error import (
+from linemate.daemon.core.tracking.estimation.prediction_error import (
     NO_PREDICTIONS,
     PredictionMonitor,
 )
+from linemate.daemon.core.tracking.go_no_go.clock_ramp import RUNNING, ClockRamp
+from linemate.daemon.core.tracking.go_no_go.decision import GO, GoState
 from linemate.daemon.core.tracking.go_no_go.target_shift import NO_SHIFT, TargetShift
 from linemate.daemon.core.tracking.merge import MergePlan
 from linemate.daemon.core.tracking.observation import History, PoseMeasurement

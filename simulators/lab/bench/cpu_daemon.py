@@ -30,7 +30,7 @@ THREADS: Final = "other threads"
 PARTS: Final[tuple[tuple[str, str, str], ...]] = (
     ("tracking", "core.tracking.tracker", "track"),
     ("tracking", "core.tracking.tracker", "observe"),
-    ("tracking", "core.tracking.touch.contact_decision", "update_contact"),
+    ("tracking", "core.tracking.contact_decision", "update_contact"),
     ("control", "core.control.controller", "desire_command"),
     ("control", "core.control.controller", "limit_command"),
     ("control", "core.control.controller", "stop"),

@@ -7,11 +7,11 @@ import pytest
 from msgspec import structs
 
 from linemate.daemon.core import parameters
+from linemate.daemon.core.tracking.contact_decision import update_contact
 from linemate.daemon.core.tracking.conveyor import Motion
 from linemate.daemon.core.tracking.goal.rest_state import at_rest
 from linemate.daemon.core.tracking.observation import remember
 from linemate.daemon.core.tracking.task import Phase
-from linemate.daemon.core.tracking.touch.contact_decision import update_contact
 from linemate.daemon.core.tracking.tracker_state import Report
 from linemate.simulators.harness.setup import Setup
 from linemate.simulators.plants.scenario import Scenario

@@ -15,13 +15,14 @@ from linemate.daemon.core.tracking.classifiers import stop_input
 from linemate.daemon.core.tracking.classifiers.classifier_bank import BankClassifier
 from linemate.daemon.core.tracking.classifiers.sway_bank import FARTHEST
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, PositionMeasurement, Source
-from linemate.daemon.core.tracking.estimation import bolt_corrections
+from linemate.daemon.core.tracking.estimation import bolt_corrections, prediction_error
 from linemate.daemon.core.tracking.estimation.deflection import felt_pose, felt_row
 from linemate.daemon.core.tracking.estimation.force_use import (
     average_pull,
     is_force_used,
     update_sign,
 )
+from linemate.daemon.core.tracking.estimation.prediction_error import PredictionMonitor
 from linemate.daemon.core.tracking.estimation.step_measurements import (
     along_measurement,
     distance_rows,
@@ -29,8 +30,6 @@ from linemate.daemon.core.tracking.estimation.step_measurements import (
 )
 from linemate.daemon.core.tracking.estimation.tool_acceleration import update_acceleration
 from linemate.daemon.core.tracking.estimation.tool_weight import update_tare
-from linemate.daemon.core.tracking.go_no_go import prediction_error
-from linemate.daemon.core.tracking.go_no_go.prediction_error import PredictionMonitor
 from linemate.daemon.core.tracking.observation import PoseMeasurement, Wrench, mean_wrench, remember
 from linemate.daemon.core.tracking.task import Gate
 from linemate.daemon.core.tracking.touch import compliance, tare

@@ -8,8 +8,9 @@ from msgspec.structs import replace
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.across.transverse_state import STATIC, TURN, X
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
+from linemate.daemon.core.tracking.estimation import prediction_error
 from linemate.daemon.core.tracking.estimation.step_measurements import distance_measurement
-from linemate.daemon.core.tracking.go_no_go import decision, prediction_error, target_shift
+from linemate.daemon.core.tracking.go_no_go import decision, target_shift
 from linemate.daemon.core.tracking.go_no_go.decision import GoEvidence, GoOrder, Zone
 from linemate.daemon.core.tracking.observation import mean_distances
 from linemate.daemon.core.tracking.reference import last_step

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.tracking import approach, merge
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate
-from linemate.daemon.core.tracking.go_no_go import prediction_error
+from linemate.daemon.core.tracking.estimation import prediction_error
 from linemate.daemon.core.tracking.go_no_go.evidence import is_certain
 from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 

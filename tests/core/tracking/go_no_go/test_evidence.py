@@ -8,6 +8,11 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import parameters
 from linemate.daemon.core.tracking.conveyor import ConveyorEstimate, Motion
+from linemate.daemon.core.tracking.estimation.prediction_error import (
+    DISTANCE_S,
+    LeadMonitor,
+    PredictionMonitor,
+)
 from linemate.daemon.core.tracking.estimation.step_measurements import distance_rows
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.go_no_go.decision import (
@@ -18,11 +23,6 @@ from linemate.daemon.core.tracking.go_no_go.decision import (
     GoState,
     Reason,
     Zone,
-)
-from linemate.daemon.core.tracking.go_no_go.prediction_error import (
-    DISTANCE_S,
-    LeadMonitor,
-    PredictionMonitor,
 )
 from linemate.daemon.core.tracking.go_no_go.target_shift import TargetShift
 from linemate.daemon.core.tracking.goal.rest_state import at_rest

@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
-from linemate.daemon.core.tracking.go_no_go import prediction_error
-from linemate.daemon.core.tracking.go_no_go.prediction_error import (
+from linemate.daemon.core.tracking.estimation import prediction_error
+from linemate.daemon.core.tracking.estimation.prediction_error import (
     LARGEST_GAP_NS,
     LONGEST_LEAD_S,
     NO_PREDICTIONS,
