@@ -56,6 +56,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     items[:] = kept
 
 
+@pytest.fixture
+def within(record_property: Callable[[str, object], None]) -> Callable[[str, float, float], None]:
+    """Give a check that a figure is at most so much; ``docs.make.catalogue`` reads what it was."""
+
+    def check(what: str, measured: float, most: float) -> None:
+        record_property(what, f"{measured:.6g} {most:.6g}")
+        assert measured <= most, what
+
+    return check
+
+
 # How long an example takes says something of the machine's other work, not of the program.
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")

@@ -6,6 +6,7 @@ camera sends good poses all the time; those that did not become samples are coun
 """
 
 import argparse
+import json
 import os
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from daemon_process import DaemonProcess
@@ -181,6 +182,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rate", type=float, default=20_000.0, help="datagrams a second")
     parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--pour", metavar="HOST:PORT", help="only send, to a loopback address")
     args = parser.parse_args()
     flood = Flood(min(args.rate, MOST_RATE), min(args.seconds, MOST_SECONDS))
@@ -191,7 +193,7 @@ def main() -> int:
         print("begun", flush=True)
         print(_pour((host, int(port)), flood))
         return 0
-    failed = False
+    failed, rows = False, []
     from linemate.protocol.command.frame_codec import Role
     from linemate.protocol.command.preshared_keys import key_line, make_key
 
@@ -213,7 +215,11 @@ def main() -> int:
         bad = outcome.missed > outcome.baseline + 0.003 * outcome.cycles
         bad = bad or outcome.samples < 0.99 * outcome.poses
         failed = failed or bad
-        print(f"{port}: {outcome} {'TOO MANY' if bad else 'good'}", flush=True)
+        rows.append({"port": port, **asdict(outcome)})
+        text = f"{port}: {outcome} {'TOO MANY' if bad else 'good'}"
+        print(text, flush=True, file=sys.stderr if args.json else sys.stdout)
+    if args.json:
+        print(json.dumps({"rows": rows}))
     return 1 if failed else 0
 
 

@@ -1,7 +1,9 @@
-"""Tables of docs/reliability.md: the fault campaign, and the cell without a force-torque sensor."""
+"""Tables of faults: the campaign, the catalogue's rows, the cell without a force-torque sensor."""
 
 from collections.abc import Callable
 from typing import Any
+
+from docs.make.figures import number
 
 Result = dict[str, Any]
 Load = Callable[[str], Result]
@@ -10,6 +12,8 @@ COMMANDS = {
     "faults": "python -m linemate.simulators.lab.faults.dst 20000:30000 --every --seconds 60"
     " --workers 1 --forget --json",
     "no-force": "python -m docs.make.no_force",
+    "catalogue": "python -m docs.make.catalogue",
+    "floods": "python tests/floods.py --json",
 }
 
 
@@ -42,4 +46,25 @@ def no_force(load: Load) -> str:
     for row in load("no-force")["rows"]:
         force, count = f"{row['force_n']:.0f} N", row["violations"]
         lines.append(f"| {row['row']} | {row['runs']} | {force} | {count} |")
+    return "\n".join(lines)
+
+
+def catalogue(load: Load) -> str:
+    """Return the figures of the catalogue's rows, each next to the bound of its test."""
+    lines = ["| id | its test says | figure | runs | measured | bound |", "|---" * 6 + "|"]
+    for row in load("catalogue")["rows"]:
+        figures = f"{row['count']} | {number(row['measured'])} | {number(row['most'])}"
+        lines.append(f"| {row['row']} | {row['test']} | {row['what']} | {figures} |")
+    return "\n".join(lines)
+
+
+def floods(load: Load) -> str:
+    """Return a row for each flooded port: what the robot missed, and what else came through."""
+    lines = ["| port | datagrams | telegrams | missed | good poses taken | a status took, ms |"]
+    lines += ["|---" * 6 + "|"]
+    for row in load("floods")["rows"]:
+        poses = f"{row['samples']} of {row['poses']}"
+        took = "-" if row["answered_s"] is None else number(1e3 * row["answered_s"])
+        cells = (row["port"], row["sent"], row["cycles"], row["missed"], poses, took)
+        lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)

@@ -339,6 +339,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "families": lambda: lag_results.by_family(load, is_stored),
     "faults": lambda: fault_results.campaigns(load),
     "no-force": lambda: fault_results.no_force(load),
+    "catalogue": lambda: fault_results.catalogue(load),
+    "floods": lambda: fault_results.floods(load),
     "peers": lambda: peer_results.table(load),
     "commission-steps": lambda: commission_results.steps(load, is_stored),
     "commission-mountings": lambda: commission_results.mountings(load, is_stored),

@@ -4,6 +4,7 @@ The whole daemon lives through a short assembly (contact at 1.1 s, retreat at 1.
 adds is compared with the same run without it. All oracles of the campaign judge each run.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -18,6 +19,8 @@ from linemate.simulators.plants.conveyor_plan import ConveyorEvent
 from linemate.simulators.plants.scenario import Fault
 
 pytestmark = pytest.mark.row
+
+Within = Callable[[str, float, float], None]
 
 SENSORS = ("distance", "camera", "force_torque")
 ALWAYS = -0.95, 4.55
@@ -117,6 +120,7 @@ def undisturbed(stop_s: float | None = None, seed: int = 0) -> Lived:
     return live(stop_s=stop_s, seed=seed)
 
 
+ADDED = "added to the error, cycle by cycle, mm"
 ASSEMBLED = ["init", "idle", "armed", "track", "contact", "retreat"]
 
 
@@ -151,16 +155,16 @@ def blackout(at_s: float, lasting_s: float, links: tuple[str, ...] = SENSORS) ->
 
 @pytest.mark.parametrize(("share", "most_mm"), [(0.01, 1.0), (0.05, 1.0), (0.2, 2.0)])
 def test_s1_loss_on_every_sensor_changes_no_state_and_little_else(
-    share: float, most_mm: float
+    share: float, most_mm: float, within: Within
 ) -> None:
     lived = live(*every("loss", share))
     assert lived.states() == ASSEMBLED
-    assert added(lived, undisturbed()) <= most_mm
+    within(ADDED, added(lived, undisturbed()), most_mm)
 
 
 @pytest.mark.parametrize("lasting_s", [0.04, 0.1, 0.14])
 def test_s2_a_blackout_up_to_140_ms_in_contact_is_coasted_though_the_conveyor_brakes_as_it_begins(
-    lasting_s: float,
+    lasting_s: float, within: Within
 ) -> None:
     for seed in (0, 1, 2):
         reference = undisturbed(IN_CONTACT_S, seed)
@@ -172,38 +176,49 @@ def test_s2_a_blackout_up_to_140_ms_in_contact_is_coasted_though_the_conveyor_br
         known = max(
             abs(lived.rows[at].predicted_mm) - abs(reference.rows[at].predicted_mm) for at in blind
         )
-        assert tool <= 1.1
-        assert known <= 1.1
+        within("added while it lasts: tool to hub, mm", tool, 1.1)
+        within("added while it lasts: hub as predicted, mm", known, 1.1)
         # The news of the stop reach the tool later still, by the robot's own delay. The greatest
         # error grows by less than what is lost cycle by cycle on a run that has recovered already.
-        assert greatest(lived) - greatest(reference) <= 1.5
-        assert added(lived, reference, IN_CONTACT_S) <= 1.8
+        within("added to the greatest error, mm", greatest(lived) - greatest(reference), 1.5)
+        within(ADDED, added(lived, reference, IN_CONTACT_S), 1.8)
 
 
-def test_s2_a_blackout_in_free_space_holds_within_304_ms_and_the_tool_is_soon_at_rest() -> None:
+def test_s2_a_blackout_in_free_space_holds_within_304_ms_and_the_tool_is_soon_at_rest(
+    within: Within,
+) -> None:
     lived = live(*blackout(FREE_S, 1.0))
     held_s = lived.entered(State.HOLD, FREE_S)
-    assert held_s - FREE_S <= 0.304
+    within("to the hold, s", held_s - FREE_S, 0.304)
     # The axes' own delay comes on top of the ramp.
-    assert lived.speed(held_s + 0.3) < 0.02
+    within("speed 0.3 s later, m/s", lived.speed(held_s + 0.3), 0.02)
 
 
-def test_s2_an_object_that_is_unseen_ends_the_approach_within_304_ms_and_a_cycle() -> None:
+def test_s2_an_object_that_is_unseen_ends_the_approach_within_304_ms_and_a_cycle(
+    within: Within,
+) -> None:
     # The tool waits at its last waypoint before contact for a pose, and is held there.
     lived = live(*blackout(FREE_S, 1.0, ("distance", "camera")))
-    assert lived.entered(State.HOLD, FREE_S) - FREE_S <= 0.304 + 2 * CYCLE_S
+    within("to the hold, s", lived.entered(State.HOLD, FREE_S) - FREE_S, 0.304 + 2 * CYCLE_S)
 
 
-def test_s2_a_longer_blackout_in_contact_is_a_retreat_within_its_coasting_and_a_cycle() -> None:
+def test_s2_a_longer_blackout_in_contact_is_a_retreat_within_its_coasting_and_a_cycle(
+    within: Within,
+) -> None:
     lived = live(*blackout(IN_CONTACT_S, 0.3))
-    assert lived.entered(State.RETREAT, IN_CONTACT_S) - IN_CONTACT_S <= 0.16 + 2 * CYCLE_S
+    retreat_s = lived.entered(State.RETREAT, IN_CONTACT_S) - IN_CONTACT_S
+    within("to the retreat, s", retreat_s, 0.16 + 2 * CYCLE_S)
 
 
-def test_s3_a_delay_that_is_stamped_and_jitter_cost_little() -> None:
-    for faults in (every("delay", 0.1, ("camera",)), every("jitter", 0.005)):
-        lived = live(*faults)
-        assert lived.states() == ASSEMBLED
-        assert added(lived, undisturbed()) <= 2.0
+@pytest.mark.parametrize(
+    ("kind", "value", "links"), [("delay", 0.1, ("camera",)), ("jitter", 0.005, SENSORS)]
+)
+def test_s3_a_delay_that_is_stamped_and_jitter_cost_little(
+    kind: str, value: float, links: tuple[str, ...], within: Within
+) -> None:
+    lived = live(*every(kind, value, links))
+    assert lived.states() == ASSEMBLED
+    within(ADDED, added(lived, undisturbed()), 2.0)
 
 
 def test_s4_duplicates_change_not_one_bit_of_what_is_commanded() -> None:
@@ -215,13 +230,13 @@ def test_s4_duplicates_change_not_one_bit_of_what_is_commanded() -> None:
 
 
 @pytest.mark.parametrize("kind", ["flip", "truncate", "reorder", "nan"])
-def test_s5_s8_damage_on_the_way_is_refused_and_changes_no_state(kind: str) -> None:
+def test_s5_s8_damage_on_the_way_is_refused_and_changes_no_state(kind: str, within: Within) -> None:
     from linemate.simulators.devices.faults import KINDS
 
     links = tuple(link for link in SENSORS if kind in KINDS[link])
     lived = live(*every(kind, 0.1, links))
     assert lived.states() == ASSEMBLED
-    assert added(lived, undisturbed()) <= 1.0
+    within(ADDED, added(lived, undisturbed()), 1.0)
 
 
 def test_s6_a_stuck_distance_is_out_within_170_ms_and_the_tool_does_not_touch() -> None:
@@ -231,15 +246,17 @@ def test_s6_a_stuck_distance_is_out_within_170_ms_and_the_tool_does_not_touch() 
     assert states[4:5] in (["hold"], ["retreat"])
 
 
-def test_s6_a_stuck_force_in_contact_is_a_retreat() -> None:
+def test_s6_a_stuck_force_in_contact_is_a_retreat(within: Within) -> None:
     lived = live(Fault(IN_CONTACT_S, "force_torque", "stuck", 2.0))
-    assert lived.entered(State.RETREAT, IN_CONTACT_S) - IN_CONTACT_S <= 0.16 + 3 * CYCLE_S
-    assert added(lived, undisturbed(), IN_CONTACT_S) <= 1.0
+    retreat_s = lived.entered(State.RETREAT, IN_CONTACT_S) - IN_CONTACT_S
+    within("to the retreat, s", retreat_s, 0.16 + 3 * CYCLE_S)
+    within(ADDED, added(lived, undisturbed(), IN_CONTACT_S), 1.0)
 
 
-def test_s6_a_stuck_camera_is_done_without() -> None:
+def test_s6_a_stuck_camera_is_done_without(within: Within) -> None:
     lived = live(Fault(FREE_S, "camera", "stuck", 2.0))
-    assert added(lived, undisturbed()) <= 2.0 if "contact" in lived.states() else True
+    if "contact" in lived.states():
+        within(ADDED, added(lived, undisturbed()), 2.0)
 
 
 @pytest.mark.parametrize(
@@ -260,36 +277,40 @@ def test_s7_a_wrong_unit_sign_or_offset_ends_in_a_hold_or_a_retreat(
     assert {"hold", "retreat"} & set(after)
 
 
-def test_s7_a_step_of_the_distance_is_outvoted_by_what_the_camera_sees() -> None:
+def test_s7_a_step_of_the_distance_is_outvoted_by_what_the_camera_sees(within: Within) -> None:
     lived = live(Fault(BEGUN_S, "distance", "offset", 6.0, 0.02))
     assert lived.states() == ASSEMBLED
-    assert added(lived, undisturbed()) <= 1.0
+    within(ADDED, added(lived, undisturbed()), 1.0)
 
 
-def test_s7_a_step_of_the_distance_shortly_before_the_last_approach_makes_the_tool_wait() -> None:
+def test_s7_a_step_of_the_distance_shortly_before_the_last_approach_makes_the_tool_wait(
+    within: Within,
+) -> None:
     # Predictions made just before it are 20 mm off: it goes on once they are right again.
     lived = live(Fault(FREE_S, "distance", "offset", 6.0, 0.02), duration_s=5.0)
     assert lived.states(until_s=5.0)[:6] == ASSEMBLED
     clamped = [row.error_mm for row in lived.rows.values() if row.clamped]
     reference = [row.error_mm for row in undisturbed().rows.values() if row.clamped]
-    assert max(clamped) <= max(reference) + 1.0
+    within("added to the greatest error, mm", max(clamped) - max(reference), 1.0)
 
 
 @pytest.mark.parametrize("value", [3600.0, -3600.0])
 @pytest.mark.parametrize("link", ["camera", "force_torque"])
-def test_s9_a_sensors_clock_that_steps_by_an_hour_changes_no_state(link: str, value: float) -> None:
+def test_s9_a_sensors_clock_that_steps_by_an_hour_changes_no_state(
+    link: str, value: float, within: Within
+) -> None:
     lived = live(Fault(FREE_S, link, "clock_step", 2.0, value))
     assert lived.states() == ASSEMBLED
-    assert added(lived, undisturbed()) <= 1.0
+    within(ADDED, added(lived, undisturbed()), 1.0)
 
 
 @pytest.mark.parametrize("value", [-0.015, -0.025, -0.035])
 def test_s9_a_force_sensors_clock_that_is_set_back_a_little_in_contact_costs_nothing(
-    value: float,
+    value: float, within: Within
 ) -> None:
     lived = live(Fault(IN_CONTACT_S, "force_torque", "clock_step", 2.0, value))
     assert lived.states() == ASSEMBLED
-    assert added(lived, undisturbed()) <= 1.0
+    within(ADDED, added(lived, undisturbed()), 1.0)
 
 
 def test_s10_a_burst_of_200_pieces_on_every_sensor_costs_no_telegram() -> None:
@@ -304,30 +325,33 @@ def test_s11_a_port_that_is_gone_is_opened_again_without_a_missed_telegram() -> 
     assert lived.controller.counts.lost == lived.controller.counts.late == 0
 
 
-def test_s12_a_force_beyond_bearing_is_a_retreat_within_a_cycle_of_its_second_sample() -> None:
+def test_s12_a_force_beyond_bearing_is_a_retreat_within_a_cycle_of_its_second_sample(
+    within: Within,
+) -> None:
     lived = live(Fault(FREE_S, "force_torque", "offset", 0.2, 2000.0, 0))
     # Two samples at 250 Hz, and the telegram after them.
-    assert lived.entered(State.RETREAT, FREE_S) - FREE_S <= 0.008 + 2 * CYCLE_S
+    retreat_s = lived.entered(State.RETREAT, FREE_S) - FREE_S
+    within("to the retreat, s", retreat_s, 0.008 + 2 * CYCLE_S)
 
 
 # R: the robot's link.
 
 
 @pytest.mark.parametrize("link", ["robot", "reply"])
-def test_r1_telegrams_lost_now_and_then_change_no_state(link: str) -> None:
+def test_r1_telegrams_lost_now_and_then_change_no_state(link: str, within: Within) -> None:
     lived = live(Fault(ALWAYS[0], link, "loss", ALWAYS[1], 0.01))
     assert lived.states() == ASSEMBLED
     # The conveyor goes on for a cycle while the robot holds.
-    assert added(lived, undisturbed()) <= 0.106 * CYCLE_S * 1e3
+    within(ADDED, added(lived, undisturbed()), 0.106 * CYCLE_S * 1e3)
 
 
-def test_r2_telegrams_lost_in_a_row_end_the_motion_and_many_are_a_fault() -> None:
+def test_r2_telegrams_lost_in_a_row_end_the_motion_and_many_are_a_fault(within: Within) -> None:
     lived = live(Fault(FREE_S, "robot", "silence", 4.5 * CYCLE_S))
     at_s = next(at for at, row in lived.rows.items() if at > FREE_S and row.state != "track")
     assert lived.rows[at_s].state in {"hold", "retreat"}
-    assert at_s - FREE_S <= 5.5 * CYCLE_S
+    within("to the end of the motion, s", at_s - FREE_S, 5.5 * CYCLE_S)
     lived = live(Fault(FREE_S, "robot", "silence", 12 * CYCLE_S))
-    assert lived.entered(State.FAULT, FREE_S) - FREE_S <= 0.1 + 2 * CYCLE_S
+    within("to the fault, s", lived.entered(State.FAULT, FREE_S) - FREE_S, 0.1 + 2 * CYCLE_S)
 
 
 @pytest.mark.parametrize(("silent_s", "is_borne"), [(0.025, True), (0.045, False)])
@@ -343,9 +367,11 @@ def test_r2_the_same_silence_is_borne_at_any_cycle(
     assert (lived.states() == ASSEMBLED) == is_borne
 
 
-def test_r4_a_flipped_counter_costs_three_answers_at_most_and_a_restart_needs_arming() -> None:
+def test_r4_a_flipped_counter_costs_three_answers_at_most_and_a_restart_needs_arming(
+    within: Within,
+) -> None:
     lived = live(Fault(FREE_S, "robot", "ipoc_flip", 1.5 * CYCLE_S, 1.0))
-    assert lived.controller.counts.lost <= 3
+    within("answers lost", lived.controller.counts.lost, 3)
     lived = live(Fault(FREE_S, "robot", "restart", 0.05))
     # A program needs a while to start again, however short the pause that was asked for.
     assert lived.entered(State.FAULT, FREE_S) < FREE_S + SHORTEST_PAUSE_S + 5 * CYCLE_S
@@ -367,12 +393,14 @@ def test_r9_drives_off_end_the_motion() -> None:
 
 @pytest.mark.parametrize("lasting_s", [0.02, 0.05, 0.2])
 @pytest.mark.parametrize("at_s", [FREE_S, IN_CONTACT_S])
-def test_p1_a_stopped_process_misses_what_passed_and_two(at_s: float, lasting_s: float) -> None:
+def test_p1_a_stopped_process_misses_what_passed_and_two(
+    at_s: float, lasting_s: float, within: Within
+) -> None:
     # A robot that no one answers stands, and the car takes its wheel along.
     away = lasting_s > 0.1 and at_s == IN_CONTACT_S
     lived = live(Fault(at_s, "daemon", "stall", lasting_s), may_touch=away)
     # Each programme that is started again misses two of its own.
-    assert lived.missed <= np.ceil(lasting_s / CYCLE_S) + 2
+    within("telegrams missed", lived.missed, np.ceil(lasting_s / CYCLE_S) + 2)
 
 
 def test_p2_a_daemon_back_from_a_crash_moves_nothing() -> None:
