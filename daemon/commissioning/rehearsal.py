@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linemate.daemon.commissioning.plan.directions import misdirected
 from linemate.daemon.commissioning.plan.held import strained
 from linemate.daemon.commissioning.plan.phases import disordered
 from linemate.daemon.commissioning.plan.sight import unseen
@@ -74,6 +75,7 @@ def rehearse(parameters: Parameters) -> Rehearsal:
     complaints = [
         *disordered(parameters.tracker.task),
         *unseen(parameters),
+        *misdirected(parameters),
         *_pressed(parameters),
         *_touched_early(parameters),
         *_untouched(parameters),

@@ -102,6 +102,16 @@ def log(r: Rot) -> Vec:
     return (x * scale, y * scale, z * scale)
 
 
+def vector(r: Rot) -> Vec:
+    """The rotation vector of any rotation, of a half turn one of its two [rad]."""
+    if angle(r) < 3.0:
+        return log(r)
+    w, x, y, z = quaternion(r)
+    sine = math.sqrt(x * x + y * y + z * z)
+    scale = 2.0 * math.atan2(sine, w) / sine
+    return (x * scale, y * scale, z * scale)
+
+
 def angle(r: Rot) -> float:
     """The angle of a rotation, 0..pi [rad]."""
     x, y, z = 0.5 * (r[7] - r[5]), 0.5 * (r[2] - r[6]), 0.5 * (r[3] - r[1])

@@ -44,6 +44,16 @@ def test_a_half_turn_has_no_unique_vector() -> None:
 
 
 @given(vectors)
+def test_any_rotation_has_a_vector(v: rotation.Vec) -> None:
+    turned = rotation.exp(v)
+    assert rotation.exp(rotation.vector(turned)) == pytest.approx(turned, abs=1e-7)
+    for half in ((1.0, 0.0, 0.0), (0.6, 0.0, 0.8), (0.0, 1.0, 0.0)):
+        x, y, z = (math.pi * part for part in half)
+        turned = rotation.exp((x, y, z))
+        assert rotation.exp(rotation.vector(turned)) == pytest.approx(turned, abs=1e-12)
+
+
+@given(vectors)
 def test_the_quaternion_is_scipys_with_w_not_negative(v: rotation.Vec) -> None:
     w, x, y, z = rotation.quaternion(rotation.exp(v))
     assert w >= 0.0

@@ -5,6 +5,7 @@ files do not have them.
 
 Invariants:
 - A missing limit is refused with the joint's name, never guessed.
+- Each axis has a direction and moves by itself.
 """
 
 import math
@@ -109,6 +110,11 @@ def _chain(urdf: str, flange: str) -> list[ET.Element]:
 
 def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:
     name, kind = joint.get("name", "?"), joint.get("type", "")
+    if joint.find("mimic") is not None:
+        raise UrdfLimitsError(f"joint {name} mimics another one. Each axis moves by itself here.")
+    axis = joint.find("axis")
+    if axis is not None and not any(map(_nonzero, axis.get("xyz", "").split())):
+        raise UrdfLimitsError(f"the <axis> of joint {name} has no direction")
     limit = joint.find("limit")
     if limit is None:
         raise UrdfLimitsError(f"joint {name} has no <limit>")
@@ -134,6 +140,13 @@ def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:
     if acceleration <= 0.0 or jerk <= 0.0:
         raise UrdfLimitsError(f"joint {name}: acceleration and jerk must be above 0")
     return AxisLimits(lower, upper, speed, acceleration, jerk)
+
+
+def _nonzero(text: str) -> bool:
+    try:
+        return float(text) != 0.0
+    except ValueError:
+        return True  # pinocchio refuses it with its own words
 
 
 def _number(limit: ET.Element, joint: str, key: str) -> float:

@@ -59,7 +59,7 @@ def placed(scenario: Scenario, given: Mapping[str, Any], task: Task) -> Scenario
     if mount != shipped.file.arm.camera_in_tcp:
         values = {
             "position_in_tcp": mount.position,
-            "rotation_in_tcp": rotation.log(_pose(mount)[1]),
+            "rotation_in_tcp": rotation.vector(_pose(mount)[1]),
         }
         camera = replace(camera, **_silent(values, _part(given, "camera")))
     _refuse_other_frame(file)
@@ -93,7 +93,7 @@ def _of_urdf(robot: Robot, given: Mapping[str, Any], task: Task) -> Robot:
     position, turned = urdf_arm.tool(arm, _pose(task.file.arm.tcp_in_flange))
     values = {
         "root_position": arm.root[0],
-        "root_rotation": rotation.log(arm.root[1]),
+        "root_rotation": rotation.vector(arm.root[1]),
         "links": arm.links,
         "tcp_position": position,
         "tcp_rotation": turned,

@@ -83,6 +83,19 @@ def test_a_urdf_in_other_units_is_refused_by_the_joints_name(
         read(URDF.replace(old, new), "flange", linear_axis=True)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "outcome"),
+    [
+        ('<axis xyz="-1 0 0"/>', '<axis xyz="0 0.0 -0"/>', "<axis> of joint A4 has no direction"),
+        ('<axis xyz="-1 0 0"/>', "<axis/>", "the <axis> of joint A4 has no direction"),
+        ("<limit ", '<mimic joint="A2"/><limit ', "joint A1 mimics another one"),
+    ],
+)
+def test_an_axis_that_does_not_move_by_itself_is_refused(old: str, new: str, outcome: str) -> None:
+    with pytest.raises(UrdfLimitsError, match=outcome):
+        read(URDF.replace(old, new), "flange", linear_axis=True)
+
+
 def test_what_is_no_xml_and_no_limit_is_refused() -> None:
     with pytest.raises(UrdfLimitsError, match="not XML"):
         read("<robot", "flange", linear_axis=True)

@@ -1,5 +1,6 @@
 """What a scenario takes from the task of its cell."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -66,6 +67,13 @@ def test_speed_and_camera_are_those_of_the_task() -> None:
     assert truth.conveyor.nominal_speed == 0.04
     assert truth.camera.position_in_tcp == (0.05, 0.0, -0.1)
     assert truth.camera.rotation_in_tcp == pytest.approx((0.0, 0.5235987755982988, 0.0))
+
+
+def test_a_camera_may_be_turned_by_half_a_turn() -> None:
+    file = SIX_AXES.file
+    arm = replace(file.arm, camera_in_tcp=PoseFile((0.05, 0.0, -0.1), (0.0, 0.0, 0.0, 1.0)))
+    truth = cell_truth.placed(Scenario(), {}, replace(SIX_AXES, file=replace(file, arm=arm)))
+    assert truth.camera.rotation_in_tcp == pytest.approx((0.0, 0.0, math.pi))
 
 
 def test_an_object_with_other_axes_is_refused() -> None:
