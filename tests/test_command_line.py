@@ -124,6 +124,10 @@ def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
 @pytest.mark.parametrize(
     ("program", "words"),
     [
+        ("linemate", "replay x --tolerance nan"),
+        ("linemate", "replay x --tolerance -1"),
+        ("linemate", "commission x --sensor-at 0,nan,0"),
+        ("linemate", "commission x --sensor-at 0,0"),
         ("linemated", "--config x --ready-fd 999"),
         *(("linemate-sim", f"run --cycle-ms {value}") for value in ("0", "nan", "25")),
     ],
@@ -136,6 +140,14 @@ def test_a_number_out_of_range_is_one_line_before_any_work(
     shown = capsys.readouterr()
     assert (ended.value.code, shown.out, shown.err.count("\n")) == (2, "", 1)
     assert words.rpartition(" ")[2] in shown.err
+
+
+@pytest.mark.parametrize("command", ["metrics", "bridge"])
+def test_two_stations_of_one_name_are_refused(command: str, capsys: Capture) -> None:
+    with pytest.raises(SystemExit) as ended:
+        operator.main([command, "--station", "a=/x", "--station", "a=/y"])
+    assert ended.value.code == 2
+    assert "argument --station: the name 'a' is given twice" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

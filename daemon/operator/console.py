@@ -98,12 +98,28 @@ def station(text: str) -> tuple[str, Path]:
     return name, Path(path)
 
 
+class _AppendOnce(argparse.Action):
+    """Append a pair to a list; a name that is there already would hide the other station."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002 - argparse's signature
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        given = getattr(namespace, self.dest)
+        if values[0] in dict(given):
+            raise argparse.ArgumentError(self, f"the name {values[0]!r} is given twice")
+        setattr(namespace, self.dest, [*given, values])
+
+
 def add_stations(
     parser: argparse.ArgumentParser, kind: Callable[[str], tuple[str, Path]] = station
 ) -> None:
     """Add the options that name the daemons of several stations, and who may reach them."""
     parser.add_argument(
-        "--station", action="append", type=kind, default=[], metavar="NAME=SOCKET",
+        "--station", action=_AppendOnce, type=kind, default=[], metavar="NAME=SOCKET",
         help="a daemon's local socket and the name it goes by; the system's daemon",
     )  # fmt: skip
     parser.add_argument(

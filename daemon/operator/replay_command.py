@@ -3,12 +3,13 @@
 import argparse
 import json
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from linemate.daemon.command_line import NO, OK, NegativeError, UsageError
+from linemate.daemon.command_line import NO, OK, NegativeError, UsageError, bounded
 from linemate.daemon.operator import render
 
 if TYPE_CHECKING:
@@ -33,7 +34,8 @@ def add_parser(commands: Any, _: argparse.ArgumentParser) -> None:
         help="another parameter, as in `linemate param list`",
     )  # fmt: skip
     parser.add_argument(
-        "--tolerance", type=float, default=0.0, metavar="X",
+        "--tolerance", default=0.0, metavar="X",
+        type=bounded(float, 0.0, sys.float_info.max, "is not a finite number of at least 0"),
         help="numbers no further apart count as the same (SI units); 0: every bit",
     )  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON")

@@ -25,6 +25,7 @@ LINEMATE: dict[str, list[str]] = {
         "1\tRefused, with the reason; for status: degraded or fault; for replay: different.",
         "2\tThe command line was wrong, or the key file cannot be used.",
         "3\tNo daemon answered.",
+        "78\tA bad configuration, with every error as file:line:column: key: what.",
     ],
     "ENVIRONMENT": [
         "LINEMATE_SOCKET\tThe daemon's local socket.",

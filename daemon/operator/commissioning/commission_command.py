@@ -1,9 +1,11 @@
 """``linemate commission``: walk through a site's commissioning; left and resumed at any step."""
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -62,11 +64,11 @@ def add_parser(commands: Any, common: argparse.ArgumentParser) -> None:
 def _place(text: str) -> str | Vector3:
     if text in {"tcp", "flange"}:
         return text
-    try:
+    with suppress(ValueError):
         x, y, z = (float(part) for part in text.split(","))
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not tcp, flange or X,Y,Z") from None
-    return (x, y, z)
+        if math.isfinite(x + y + z):
+            return (x, y, z)
+    raise argparse.ArgumentTypeError(f"{text!r} is not tcp, flange or X,Y,Z")
 
 
 @dataclass(frozen=True, slots=True)
