@@ -7,6 +7,7 @@ Invariants:
 """
 
 import argparse
+import errno
 import math
 import os
 import signal
@@ -20,7 +21,7 @@ from linemate.daemon.near_names import near_names
 
 OK: Final = 0
 NO: Final = 1  # not healthy, refused, different, not a recording, not assembled
-USAGE: Final = 2  # the command line, or an output place or an address that it names
+USAGE: Final = 2  # the command line, or an output place (full as well) or an address it names
 NO_ANSWER: Final = 3  # no daemon, or not in time
 INTERNAL: Final = 70  # EX_SOFTWARE: a defect of the program, with a traceback
 BAD_FILE: Final = 78  # EX_CONFIG: errors of a configuration, task or scenario
@@ -80,24 +81,40 @@ def bounded(
 def run(program: str, command: Callable[[], int]) -> int:
     """Run a command and return its exit code, whatever ends it."""
     try:
-        return command()
+        code = command()
+        if sys.stdout is not None:  # None: the shell has closed it
+            sys.stdout.flush()
     except tuple(_CODES) as error:
         # A line of a file begins with the file's name, as an editor reads it.
         print(*() if type(error) is BadFileError else (f"{program}:",), error, file=sys.stderr)
         return _CODES[type(error)]
     except BrokenPipeError:
-        # Python flushes standard output at exit: into /dev/null, so that it does not complain.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
         return CLOSED_PIPE
     except KeyboardInterrupt:
         return INTERRUPTED
     except Exception as error:  # noqa: BLE001 - Python's own code for it is 1: "no" here
-        if isinstance(error.__cause__, KeyboardInterrupt):
-            return INTERRUPTED  # of a class body in an import
-        import traceback
+        return _unexpected(program, error)
+    return code
 
-        traceback.print_exc()
-        return INTERNAL
+
+def _unexpected(program: str, error: Exception) -> int:
+    if isinstance(error.__cause__, KeyboardInterrupt):
+        return INTERRUPTED  # of a class body in an import
+    if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:
+        _drop_output()
+        place = error.filename or "the output"
+        print(f"{program}: {place}: {error.strerror}. Free some space", file=sys.stderr)
+        return USAGE
+    import traceback
+
+    traceback.print_exception(error)
+    return INTERNAL
+
+
+def _drop_output() -> None:
+    """Send to /dev/null what Python flushes at exit, so that it does not complain there."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager

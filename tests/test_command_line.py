@@ -92,6 +92,32 @@ def test_a_closed_pipe_ends_quietly_and_not_with_1() -> None:
     assert process.returncode == 141
 
 
+@pytest.mark.parametrize("size", [1, 1_000_000])
+def test_a_full_disk_is_one_line(size: int) -> None:
+    code = (
+        "import sys; from linemate.daemon import command_line;"
+        f"sys.exit(command_line.run('x', lambda: print('y' * {size}) or 0))"
+    )
+    with open("/dev/full", "w") as full:  # noqa: PTH123 - a device
+        done = subprocess.run(
+            [sys.executable, "-c", code],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    what = "x: the output: No space left on device. Free some space\n"
+    assert (done.returncode, done.stderr) == (2, what)
+
+
+def test_a_closed_output_is_no_error() -> None:
+    code = (
+        "import sys; from linemate.daemon import command_line;"
+        "sys.exit(command_line.run('x', lambda: print('y') or 0))"
+    )
+    subprocess.run(["sh", "-c", '"$@" >&-', "sh", sys.executable, "-c", code], check=True)
+
+
 def wrong_places(tmp_path: Path) -> list[Path]:
     (tmp_path / "file").write_text("")
     return [tmp_path / "file" / "x", Path("/proc/none/x"), Path("/dev/null/x")]

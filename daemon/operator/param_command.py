@@ -2,16 +2,18 @@
 
 import argparse
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
-from linemate.daemon.command_line import NO, OK
+from linemate.daemon.command_line import NO, OK, UsageError
 from linemate.daemon.near_names import near_names
 from linemate.daemon.operator import console
 from linemate.daemon.operator.render import scalar, table, versioned
 
 Parameter = Mapping[str, Any]  # as the operation ``params`` describes it
 
+LONGEST_VALUE: Final = 512  # that a request carries [characters]
 CHANGES: Final = {
     "live": "at once, between two cycles",
     "idle": "while the robot stands idle",
@@ -68,7 +70,10 @@ def print_values(args: argparse.Namespace) -> int:
 
 def set_values(args: argparse.Namespace) -> int:
     """Set all of the values or none, and print what changed."""
-    answer = console.ask(args, "set", {"values": dict(args.assignments)}, console.COMPILE_S)
+    values = dict(args.assignments)
+    if len(values) < len(args.assignments):
+        raise UsageError("a NAME is given twice")
+    answer = console.ask(args, "set", {"values": values}, console.COMPILE_S)
     if args.json:
         print(versioned(answer))
         return OK
@@ -119,10 +124,22 @@ def _assignment(text: str) -> tuple[str, object]:
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    if len(value) > LONGEST_VALUE:
+        raise argparse.ArgumentTypeError(f"{name}: longer than {LONGEST_VALUE} characters")
     try:
-        return name, json.loads(value)
-    except json.JSONDecodeError:
+        read = json.loads(value, parse_constant=str)
+    except ValueError:
         return name, value
+    return name, read if _is_carried(read) else value
+
+
+def _is_carried(value: object) -> bool:
+    """Return whether a request can have a value; as a text it is refused with its name."""
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, list):
+        return all(map(_is_carried, value))
+    return isinstance(value, str | None) or (isinstance(value, int) and abs(value) < 2**63)
 
 
 def _list_row(item: Parameter) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 Invariants:
     * Values in, strings out: nothing is asked for and nothing is printed here.
-    * A screen has at most WIDTH columns and HEIGHT lines, and no control characters.
+    * A screen has at most WIDTH columns and HEIGHT lines.
+    * Neither a screen nor a table has control characters.
 """
 
 import math
@@ -55,6 +56,11 @@ def scalar(value: object) -> str:
     return str(value)
 
 
+def printable(text: str) -> str:
+    """Return a text without control characters: names come from files and from the network."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else "?" for c in text)
+
+
 def rows(value: Status, above: str = "") -> list[tuple[str, str]]:
     """Return a nested map as rows ``dotted.name, value`` in its own order."""
     listed: list[tuple[str, str]] = []
@@ -69,7 +75,8 @@ def rows(value: Status, above: str = "") -> list[tuple[str, str]]:
 
 def table(head: Sequence[str], body: Iterable[Sequence[str]]) -> str:
     """Return columns as wide as their widest cell, with two blanks between them."""
-    lines = [list(head), *(list(row) for row in body)] if head else [list(row) for row in body]
+    lines = [list(head)] if head else []
+    lines += ([printable(cell) for cell in row] for row in body)
     if not lines:
         return ""
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
@@ -107,8 +114,7 @@ def screen(
 
 
 def _cut(lines: Sequence[str], width: int, height: int) -> list[str]:
-    printable = ("".join(c if c.isprintable() else "?" for c in line) for line in lines[:height])
-    return [_shortened(line, width) for line in printable]
+    return [_shortened(printable(line), width) for line in lines[:height]]
 
 
 def _shortened(line: str, width: int) -> str:

@@ -518,7 +518,9 @@ class App:
             self._events.add(f"{who} ordered {op}{outcome}")
             return self._answers.promise(op) if reason is None else {"refused": reason}
         handler = self._operations.get(op)
-        return {"refused": f"no such operation: {op}"} if handler is None else handler(params, who)
+        if handler is None:
+            return {"refused": f"no such operation without the section production: {op}"}
+        return handler(params, who)
 
     def _follow_poses(self, params: Mapping[str, Any], who: str) -> Answer | asyncio.Future[Answer]:
         """Hand target poses in; without any, answer the time of their clock."""

@@ -63,6 +63,9 @@ class Daemon:
         return {"values": {name: self.values[name] for name in names}}
 
     def set(self, values: dict[str, Any]) -> dict[str, Any]:
+        for name, value in values.items():
+            if isinstance(value, str):
+                return {"refused": f"{name}: should be a number, not {value!r:.9}"}
         if values.get("approach.speed", 0.0) > 0.2:
             return {"refused": "approach.speed: at most 0.2"}
         old = {name: self.values[name] for name in values}
@@ -229,10 +232,22 @@ def test_what_is_learned_is_shown_and_taken_back(
     assert json.loads(capsys.readouterr().out) == {"version": 1, "params": []}
 
 
-@pytest.mark.parametrize("value", ["0.3", "NaN", "-Infinity"])
-def test_nonsense_is_not_set(daemon: Daemon, value: str) -> None:
+@pytest.mark.parametrize(
+    "value",
+    ["0.3", "NaN", "-Infinity", "1e999", "9" * 40, '{"a": 1}', "[[{}]]", "[" * 500, "9" * 500],
+)
+def test_nonsense_is_not_set_and_named(daemon: Daemon, value: str, capsys: Out) -> None:
     before = dict(daemon.values)
     assert main(["param", "set", f"approach.speed={value}"]) == 1
+    shown = capsys.readouterr().err
+    assert "approach.speed: " in shown or "at most" in shown
+    assert daemon.values == before
+
+
+def test_a_name_that_stands_twice_is_not_set(daemon: Daemon, capsys: Out) -> None:
+    before = dict(daemon.values)
+    assert main(["param", "set", "approach.speed=0.1", "approach.speed=0.15"]) == 2
+    assert "given twice" in capsys.readouterr().err
     assert daemon.values == before
 
 
@@ -243,6 +258,7 @@ def test_nonsense_is_not_set(daemon: Daemon, value: str) -> None:
         ["dance"],
         ["param"],
         ["param", "set", "novalue"],
+        ["param", "set", "a=" + "[" * 100_000],
         ["record", "pause"],
         ["status", "--udp", "host:99999"],
         ["status", "--timeout", "-1"],
@@ -343,6 +359,10 @@ def test_a_table_of_nothing_is_empty() -> None:
         ("a", "-"),
         ("b.c", "[1, yes, -]"),
     ]
+
+
+def test_a_table_sends_a_terminal_no_control_characters() -> None:
+    assert render.table((), [("task", "a\x1b[2J\n"), ("ü", "b")]) == "task  a?[2J?\nü     b"
 
 
 LOADED = """

@@ -96,5 +96,5 @@ def fleet_table(rows: Iterable[Row]) -> str:
 
 
 def _cell(value: object) -> str:
-    text = "".join(c if c.isprintable() else "?" for c in scalar(value))
+    text = scalar(value)
     return text if len(text) <= WIDEST else f"{text[: WIDEST - 1]}…"
