@@ -166,7 +166,8 @@ class CameraSettings:
         port: UDP port; 0 takes any free one.
         peer: the only sender that is accepted, ``ADDRESS`` or ``ADDRESS:PORT``. None: the first
             one that sends good poses. Another may replace it after 5 s of silence.
-        frame, object, source: the only ones accepted, None for any.
+        frame, object, source: the only ones accepted, None for any. Of several objects in view the
+            first one counts until it has not been seen for 1 s.
     """
 
     bind: Text = "127.0.0.1"

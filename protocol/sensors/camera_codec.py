@@ -182,7 +182,8 @@ class CameraDecoder:
 
     Args:
         frame: the only frame accepted, None for any.
-        obj: the only object accepted, None for any.
+        obj: the only object accepted. None for any, one at a time: another one counts after the
+            first has not been seen for ``RESTART_SILENCE_NS``.
         src: the only camera accepted, None for any.
         window_s: time over which the smallest transit is kept [s].
         max_age_s: oldest exposure accepted [s].
@@ -211,6 +212,7 @@ class CameraDecoder:
         self._max_age_ns = round(max_age_s * 1e9)
         self._max_sources = max_sources
         self._sources: dict[str, _Source] = {}
+        self._seen = ("", 0)
         self.accepted = 0
         self.gaps = 0
         self.lost = 0
@@ -228,6 +230,7 @@ class CameraDecoder:
         try:
             message = decode(data)
             self._check_expected(message, data)
+            self._check_seen(message.obj, stamp_ns, data)
             source = self._source(message.src, stamp_ns, data)
             offset_ns = self._follow(source, message, stamp_ns, data)
             exposure_ns = self._exposure(message.t_exp + offset_ns, stamp_ns, data)
@@ -235,6 +238,7 @@ class CameraDecoder:
             self.refused[error.reason] += 1
             raise
         self.accepted += 1
+        self._seen = message.obj, stamp_ns
         return CameraSample(
             stamp_ns,
             exposure_ns,
@@ -271,6 +275,12 @@ class CameraDecoder:
         for expected, name in zip(self._expected, received, strict=True):
             if expected is not None and expected != name:
                 raise CameraError("unexpected", f"{name!r} instead of {expected!r}", data)
+
+    def _check_seen(self, obj: str, stamp_ns: int, data: bytes) -> None:
+        """Refuse a second object in view: poses of two would be taken for one that jumps."""
+        seen, seen_ns = self._seen
+        if obj != seen and seen and stamp_ns - seen_ns < RESTART_SILENCE_NS:
+            raise CameraError("unexpected", f"{obj!r} next to {seen!r}", data)
 
     def _source(self, src: str, stamp_ns: int, data: bytes) -> _Source:
         source = self._sources.get(src)

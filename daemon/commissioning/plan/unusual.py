@@ -24,6 +24,12 @@ def cautions(station: LoadedConfig) -> Iterator[str]:
             "learning: production compiles each variant at start, so no servo model is learned; "
             "remove it, and identify the servos with `linemate identify`"
         )
+    camera = station.config.camera
+    if camera is not None and camera.frame is None:
+        yield (
+            "camera.frame: null takes a pose of any frame for one in the camera's own frame, which "
+            "arm.camera_in_tcp places; name the frame that the camera sends"
+        )
     yield from _of_servos(station.config.control)
     yield from _of_tracking(station.config.tracking)
     yield from _of_payload(station.config.control, station.config.tracking)

@@ -36,6 +36,11 @@ def write(folder: Path, sections: dict[str, object], tool: dict[str, float]) -> 
             "control.servos[0].damping: 2.9 of A1 is more than 1.5, which few drives have",
         ),
         (
+            {"camera": {"frame": None}},
+            {},
+            "camera.frame: null takes a pose of any frame for one in the camera's own frame",
+        ),
+        (
             {"tracking": {"payload": {"mass": 100.0}}},
             {},
             "tracking.payload.mass: 100 kg is more than twice the 26 kg that tactile.stiffness",
