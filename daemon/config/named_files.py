@@ -109,6 +109,8 @@ class NamedFiles:
         if name and message and signal:
             path = files.find(name, self._base, files.PROTOCOL_DATA)
             text = files.read_text(path, MAX_LINK_BYTES)
+            if "\n" not in text:  # which the decoder takes for the name of a file
+                raise ValueError("not a DBC: a single line")
             message_names(text)
             self.dbc = self.texts["dbc"] = text
             self._decoder = (text, message, signal)

@@ -42,6 +42,7 @@ _DIRECTORIES: tuple[tuple[str, ...], ...] = (
     ("production", "records"),
     ("state",),
 )
+_BROADCAST = ipaddress.IPv4Address("255.255.255.255")
 _LOOPBACK = "127.0.0.1"
 _USUAL_BUSES = {
     "slcan": "/dev/serial/by-id/usb-...",
@@ -111,6 +112,7 @@ def complaints(
         bind = values.get(section, "bind", kind=str, default=_LOOPBACK)
         peer = values.get(section, "peer", kind=str)
         yield from _complaint((section, "bind"), _check_reached, bind, peer)
+        yield from _complaint((section, "peer"), _check_host, peer)
     if values.has("learning") and drifts(values):
         yield Complaint(("learning",), f"control.drift is set: {DRIFT_LEARNED} Remove one of them.")
     bind = values.get("command", "udp", "bind", kind=str, default=_LOOPBACK)
@@ -213,6 +215,16 @@ def _check_reached(bind: str | None, peer: str | None) -> None:
         raise ValueError(
             f"{peer} cannot send to {bind}. Give the address of this host's interface to it."
         )
+
+
+def _check_host(peer: str | None) -> None:
+    """Refuse a peer that is no single host: nothing comes from it, and no one is answered."""
+    try:
+        address = ipaddress.ip_address(parse_peer(peer or "")[0])
+    except ValueError:  # which has its own complaint
+        return
+    if address.is_multicast or address.is_unspecified or address == _BROADCAST:
+        raise ValueError(f"{address} is the address of no single host. Give that of the sender.")
 
 
 def _check_consent(bind: str) -> None:

@@ -269,6 +269,9 @@ def test_what_a_dbc_lacks_is_reported_at_the_key_that_names_it(
     ):
         (line,) = errors(write(text.format(named)))
         assert f": distance.{key}: distance: " in line
+    (tmp_path / "line.dbc").write_text("other.dbc")
+    (line,) = errors(write(text.format("dbc: line.dbc")))
+    assert line.endswith("distance.dbc: not a DBC: a single line")
 
 
 def test_frames_by_multicast_must_not_leave_the_host(write: Write) -> None:

@@ -78,6 +78,10 @@ def test_a_peer_can_send_to_the_address_that_is_listened_on(section: str) -> Non
     assert lines("fe80::1", bind="10.0.0.2")
     assert lines("10.0.0.1", bind="10.0.0.2") == lines("10.0.0.1", bind="0.0.0.0") == []
     assert lines("127.0.0.1") == []
+    for none in ("224.0.0.1", "0.0.0.0", "255.255.255.255", "ff02::1"):
+        bind = "::" if ":" in none else "0.0.0.0"
+        (line,) = lines(none, bind=bind)
+        assert line.startswith(f"{section}.peer: {none} is the address of no single host")
 
 
 def test_a_command_socket_takes_the_place_of_no_other_file(tmp_path: Path) -> None:
