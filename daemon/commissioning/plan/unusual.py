@@ -14,6 +14,8 @@ LARGEST_DAMPING = 1.5  # of a servo that `linemate identify` fits as one of seco
 LATEST_DISTANCE = 0.02  # of a laser or an encoder: two of its own cycles at 100 Hz [s]
 LARGEST_GAIN = 1.5  # of a sway: the free end of a rod that hangs
 QUICKEST_CLAMP = 0.05  # a valve and a cylinder need that long [s]
+WIDEST_CATCH = 0.01  # of bolts in holes, a centring or a clamp [m]
+WIDEST_ANGLE = 0.1  # the same [rad]
 HEAVIER = 2.0  # mass over that which a mode of the mount shows
 
 
@@ -83,6 +85,16 @@ def _of_payload(control: ControlSettings, tracking: TrackingSettings) -> Iterato
 
 
 def _of_tool(task: TaskFile) -> Iterator[str]:
+    guard = task.guard
+    for key, value, most, unit in (
+        ("tolerance", guard.tolerance, WIDEST_CATCH, "m"),
+        ("angle_tolerance", guard.angle_tolerance, WIDEST_ANGLE, "rad"),
+    ):
+        if value > most:
+            yield (
+                f"guard.{key}: {value:g} {unit} is more than a tool catches, {most:g} {unit}: the "
+                "tool would touch next to the object; check the unit"
+            )
     released = task.tool.released_after
     if released is not None and released < QUICKEST_CLAMP:
         yield (

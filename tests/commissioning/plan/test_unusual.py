@@ -13,9 +13,15 @@ from linemate.daemon.service import main as service
 SERVO = {"frequency_hz": 4.0, "damping": 0.75, "dead_time": 0.036}
 
 
-def write(folder: Path, sections: dict[str, object], tool: dict[str, float]) -> Path:
+def write(
+    folder: Path,
+    sections: dict[str, object],
+    tool: dict[str, float],
+    guard: dict[str, float] | None = None,
+) -> Path:
     task = yaml.safe_load((DAEMON_DATA / "wheel.yaml").read_text(encoding="utf-8"))
     task["tool"] |= tool
+    task["guard"] = guard or {}
     (folder / "task.yaml").write_text(yaml.safe_dump(task), encoding="utf-8")
     path = folder / "linemated.yaml"
     path.write_text(yaml.safe_dump({"task": "task.yaml", **sections}), encoding="utf-8")
@@ -85,6 +91,15 @@ def test_an_unusual_setting_is_named_in_one_sentence(
 
 def test_the_shipped_cell_has_none(tmp_path: Path) -> None:
     assert not list(cautions(load(write(tmp_path, {}, {}))))
+
+
+def test_a_tolerance_that_no_tool_has_is_named(tmp_path: Path) -> None:
+    wide = {"tolerance": 0.3, "angle_tolerance": 0.86}
+    lines = list(cautions(load(write(tmp_path, {}, {}, wide))))
+    assert [line[:32] for line in lines] == [
+        "guard.tolerance: 0.3 m is more t",
+        "guard.angle_tolerance: 0.86 rad ",
+    ]
 
 
 def test_the_check_prints_it_and_passes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
