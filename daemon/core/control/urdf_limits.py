@@ -105,7 +105,16 @@ def _chain(urdf: str, flange: str) -> list[ET.Element]:
         joints.append(joint)
         parent = joint.find("parent")
         link = "" if parent is None else parent.get("link", "")
-    return [joint for joint in reversed(joints) if joint.get("type") in _LARGEST_POSITION]
+    chain = [joint for joint in reversed(joints) if joint.get("type") in _LARGEST_POSITION]
+    every = [joint for joint in root.findall("joint") if joint.get("type") in _LARGEST_POSITION]
+    known = {"universe", *(element.get("name") for element in root)}  # kinematics refuses others
+    if len(chain) < len(every) and flange in known:
+        names = ", ".join(joint.get("name", "?") for joint in every if joint not in chain)
+        raise UrdfLimitsError(
+            f"{flange!r} is not moved by {names}. Name the link behind all axes in arm.flange, and "
+            "fix the joints of a tool."
+        )
+    return chain
 
 
 def _limits(joint: ET.Element, *, is_whole: bool) -> AxisLimits:

@@ -96,6 +96,15 @@ def test_an_axis_that_does_not_move_by_itself_is_refused(old: str, new: str, out
         read(URDF.replace(old, new), "flange", linear_axis=True)
 
 
+@pytest.mark.parametrize(
+    ("flange", "named"),
+    [("link_a5", "A6"), ("A6", "E1, A1, A2, A3, A4, A5, A6"), ("link_a1", "A2, A3, A4, A5, A6")],
+)
+def test_a_flange_before_the_last_axis_is_refused(flange: str, named: str) -> None:
+    with pytest.raises(UrdfLimitsError, match=f"^'{flange}' is not moved by {named}\\."):
+        read(URDF, flange, linear_axis=True)
+
+
 def test_what_is_no_xml_and_no_limit_is_refused() -> None:
     with pytest.raises(UrdfLimitsError, match="not XML"):
         read("<robot", "flange", linear_axis=True)
