@@ -188,6 +188,8 @@ def _describe(node: Node, schema: Node) -> Parameter:
     if "enum" in resolved or "const" in resolved:
         described["choices"] = resolved.get("enum", [resolved.get("const")])
     described |= {name: resolved[key] for key, name in _BOUNDS.items() if key in resolved}
+    excluded = [_BOUNDS[key] for key in _BOUNDS if key in resolved and key.startswith("exclusive")]
+    described |= {"excluded": excluded} if excluded else {}
     meaning = node.get("description")
     if meaning is not None:
         unit = _UNIT.search(meaning)

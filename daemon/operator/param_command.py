@@ -179,8 +179,12 @@ def _description(item: Parameter) -> Iterable[str]:
     if item.get("describe"):
         yield f"  {item['describe']}"
     low, high = item.get("min"), item.get("max")
+    above, below = (
+        word if bound in item.get("excluded", ()) else ""
+        for bound, word in (("min", "above "), ("max", "below "))
+    )
     if low is not None or high is not None:
-        yield f"  range    {scalar(low)} .. {scalar(high)}{unit}"
+        yield f"  range    {above}{scalar(low)} .. {below}{scalar(high)}{unit}"
     yield f"  default  {scalar(item.get('default'))}{unit}"
     if item.get("choices"):
         yield f"  one of   {', '.join(map(scalar, item['choices']))}"

@@ -133,7 +133,12 @@ def _allowed(entry: dict[str, Any]) -> str:
     low, high = entry.get("min"), entry.get("max")
     if low is None and high is None:
         return ""
-    return f"{'' if low is None else shown(low)} .. {'' if high is None else shown(high)}".strip()
+    above, below = (
+        word if bound in entry.get("excluded", ()) else ""
+        for bound, word in (("min", "above "), ("max", "below "))
+    )
+    lowest = "" if low is None else f"{above}{shown(low)}"
+    return f"{lowest} .. {'' if high is None else f'{below}{shown(high)}'}".strip()
 
 
 def configuration_page() -> str:

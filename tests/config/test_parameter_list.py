@@ -53,6 +53,9 @@ def test_a_parameter_has_value_default_range_unit_and_meaning(
         "max": 10_000,
         "describe": by_name["watch.healthy_cycles"]["describe"],
     }
+    confirmed = by_name["tracking.imm.confirmed"]
+    assert (confirmed["min"], confirmed["max"]) == (0.0, 1.0)
+    assert confirmed["excluded"] == ["min", "max"]
     deviation = by_name["tracking.distance.deviation"]
     assert deviation["unit"] == "m"
     assert deviation["min"] == 1e-5

@@ -15,6 +15,7 @@ from command_ends import key_of, open_port, served
 
 from linemate.daemon.operator import render
 from linemate.daemon.operator.main import main
+from linemate.daemon.operator.param_command import description
 from linemate.daemon.service.command_server import CommandPort
 from linemate.protocol.command.frame_codec import Role
 from linemate.protocol.command.preshared_keys import key_line, parse_keys
@@ -180,6 +181,12 @@ def test_parameters_are_listed_described_and_compared(daemon: Daemon, capsys: Ou
     daemon.values["swing.enabled"] = False
     assert main(["param", "diff"]) == 0
     assert "swing.enabled  no" in capsys.readouterr().out
+
+
+def test_a_bound_that_is_not_allowed_itself_is_described_so() -> None:
+    item = {"name": "a", "min": 0.0, "max": 1.0, "excluded": ["min"]}
+    assert "  range    above 0 .. 1\n" in description(item)
+    assert "  range    above 0 .. below 1\n" in description({**item, "excluded": ["min", "max"]})
 
 
 def test_a_parameter_that_is_not_there_exits_1(capsys: Out) -> None:

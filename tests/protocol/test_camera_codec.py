@@ -434,10 +434,10 @@ def test_of_two_objects_in_view_the_first_one_counts_until_it_is_gone() -> None:
     stamps = [3 * S + seq * PERIOD_NS for seq in range(121)]
     for seq in range(0, 80, 2):
         assert decoder.feed(message(seq, obj="hub"), stamps[seq]).object_id == "hub"
-        assert refused(decoder, message(seq + 1, obj="door"), stamps[seq + 1]) == "unexpected"
+        assert refused(decoder, message(seq + 1, obj="rim"), stamps[seq + 1]) == "unexpected"
     for seq in range(80, 118):  # until 1 s after the last hub
-        assert refused(decoder, message(seq, obj="door"), stamps[seq]) == "unexpected"
-    assert decoder.feed(message(118, obj="door"), stamps[118]).object_id == "door"
+        assert refused(decoder, message(seq, obj="rim"), stamps[seq]) == "unexpected"
+    assert decoder.feed(message(118, obj="rim"), stamps[118]).object_id == "rim"
     assert refused(decoder, message(119, obj="hub"), stamps[119]) == "unexpected"
 
 
