@@ -145,7 +145,8 @@ class DistanceSettings:
         message, signal: names in the DBC, as it writes them.
         strength: signal of the signal strength. None searches the DBC for it.
         can_id: instead of the DBC's.
-        step_m: size of one count instead of the DBC's [m].
+        step_m: size of one count instead of the DBC's [m]. A DBC with a negative factor is for a
+            sensor that counts down as the conveyor runs.
     """
 
     can: dict[str, Any]

@@ -139,7 +139,7 @@ class ParameterService:
             return {"saved": str(path)}
 
         work = _in_thread(overlays.save, folder, settings, self.station.written)
-        return _then(work, done, lambda error: {"refused": f"not saved: {error}"})
+        return _then(work, done, lambda error: {"refused": f"not saved in {folder}: {error}"})
 
     def _unsettable(self, values: Mapping[str, Any]) -> str | None:
         """Return which parameter needs a restart, None if none does."""

@@ -123,8 +123,10 @@ def message_names(dbc: str | Path) -> tuple[str, ...]:
 
 
 def _scale(signal: Signal, step: float | None, unit: float) -> _Scale:
-    """Return the conversion of a signal; ``step`` [m] replaces the DBC's factor."""
-    factor = float(signal.scale) if step is None else step / unit
+    """Return the conversion of a signal; ``step`` [m] replaces the DBC's factor, not its sign."""
+    factor = float(signal.scale)
+    if step is not None:
+        factor = math.copysign(step / unit, factor)
     if not math.isfinite(factor) or factor == 0.0:
         raise DistanceError(f"signal {signal.name}: a count is worth {factor!r}")
     return _Scale(

@@ -121,6 +121,15 @@ def test_node_and_measuring_step_can_differ_from_the_dbcs() -> None:
     )
 
 
+def test_a_measuring_step_keeps_the_sign_of_the_dbcs() -> None:
+    dbc = SHIPPED_DBC.read_text(encoding="latin-1")
+    dbc = dbc.replace("(0.0001,0) [0|500]", "(-0.0001,0) [-500|0]")
+    for step, expected in ((None, -0.1234), (1e-3, -1.234)):
+        sample = DistanceDecoder(dbc, step=step).decode(0x183, struct.pack("<I", 1234), 7)
+        assert sample is not None
+        assert sample.position == pytest.approx(expected)
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [

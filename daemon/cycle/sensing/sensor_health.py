@@ -170,7 +170,8 @@ class DistanceHealth(Health[DistanceSample]):
             elif speed is not None:
                 self._learn(off)
         if conditions.moving and speed is not None and speed < -MOVING:
-            fault = fault or f"it runs backwards at {speed:.3f} m/s; check its sign"
+            what = f"it runs backwards at {speed:.3f} m/s; check the sign of the DBC's factor"
+            fault = fault or what
         fault = fault or self._frozen(stamp_ns)
         if fault is None:
             trusted.append((stamp_ns, position))
