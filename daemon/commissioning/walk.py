@@ -241,7 +241,7 @@ def from_text(text: str) -> SiteState:
     """
     try:
         whole = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"not JSON: {error}") from error
     steps = whole.get("steps") if isinstance(whole, dict) else None
     if not isinstance(steps, dict) or whole.get("version") != VERSION:

@@ -153,7 +153,7 @@ def overrides_of(config: Path | None, assignments: list[str]) -> "Overrides":
             raise ValueError(f"--set {text}: should be NAME=VALUE")
         try:
             values[name] = json.loads(value)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             values[name] = value
     return Overrides(sections, values)
 

@@ -52,6 +52,7 @@ def test_a_step_that_is_repeated_makes_those_due_that_build_on_it() -> None:
     [
         "",
         "[]",
+        "[" * 100_000,
         '{"version": 2, "steps": {}}',
         '{"version": 1, "steps": []}',
         '{"version": 1, "steps": {"camera": {}}}',

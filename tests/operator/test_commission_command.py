@@ -60,6 +60,8 @@ def test_a_step_can_be_left_out_with_a_reason(
     assert "no such sensor" in capsys.readouterr().out
     assert run(site, "--skip", "no such sensor") == 2
     assert "--skip needs --step" in capsys.readouterr().err
+    assert run(site, "--step", "force", "--skip", " ") == 2
+    assert "--skip needs a reason" in capsys.readouterr().err
 
 
 def test_the_list_shows_how_long_a_step_took(
