@@ -47,6 +47,14 @@ class BadFileError(Exception):
     """A configuration, task or scenario has errors; a line each: ``file:line:col: key: what``."""
 
 
+# Of the operating system, which no program can prevent: what to do about each.
+_REFUSALS: Final = {
+    errno.ENOSPC: "Free some space",
+    errno.EDQUOT: "Free some space",
+    errno.EACCES: "Change its owner or mode, or run as another user",
+    errno.EROFS: "Name another place",
+}
+
 _CODES: Final[dict[type[Exception], int]] = {
     UsageError: USAGE,
     NegativeError: NO,
@@ -101,10 +109,11 @@ def run(program: str, command: Callable[[], int]) -> int:
 def _unexpected(program: str, error: Exception) -> int:
     if isinstance(error.__cause__, KeyboardInterrupt):
         return INTERRUPTED  # of a class body in an import
-    if isinstance(error, OSError) and error.errno in {errno.ENOSPC, errno.EDQUOT}:
-        _drop_output()
-        place = error.filename or "the output"
-        print(f"{program}: {place}: {error.strerror}. Free some space", file=sys.stderr)
+    if isinstance(error, OSError) and error.errno in _REFUSALS:
+        if error.filename is None:
+            _drop_output()
+        what = f"{error.filename or 'the output'}: {error.strerror}. {_REFUSALS[error.errno]}"
+        print(f"{program}: {what}", file=sys.stderr)
         return USAGE
     import traceback
 

@@ -1,10 +1,11 @@
 """Command lines of the three programs: version, errors, exit codes, output places, Ctrl-C."""
 
 import importlib.metadata
+import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -137,6 +138,39 @@ def test_an_output_directory_in_a_wrong_place_is_one_line_before_any_work(
         shown = capsys.readouterr()
         assert shown.err.startswith(f"linemate-sim: --out {place}: ")
         assert (shown.out, shown.err.count("\n")) == ("", 1)
+
+
+@pytest.fixture
+def nobody(tmp_path: Path) -> Iterator[Path]:
+    """Another user, who may not enter the folder."""
+    if os.getuid() != 0:
+        pytest.skip("only root can become another user")
+    tmp_path.chmod(0o700)
+    os.seteuid(65534)
+    try:
+        yield tmp_path
+    finally:
+        os.seteuid(0)
+
+
+@pytest.mark.parametrize(
+    ("program", "words", "code"),
+    [
+        ("linemate-sim", "run --out", 2),
+        ("linemate", "export", 2),
+        ("linemate", "identify x --out", 2),
+        ("linemate", "commission", 2),
+        ("linemate", "rsi files kss-8.5", 2),
+        ("linemated", "--check --config", 78),
+    ],
+)
+def test_a_place_of_another_user_is_one_line(
+    program: str, words: str, code: int, nobody: Path, capsys: Capture
+) -> None:
+    assert PROGRAMS[program]([*words.split(), str(nobody / "x")]) == code
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert str(nobody / "x") in shown.err
 
 
 def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(

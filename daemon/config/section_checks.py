@@ -150,7 +150,7 @@ def _check_socket(base: Path, name: str | None) -> None:
         raise ValueError(
             f"path of a socket too long: {length} bytes, limit {LONGEST_SOCKET_PATH}. Shorten it."
         )
-    if not path.parent.is_dir():
+    if not os.access(path.parent, os.X_OK):
         raise ValueError(f"no such directory: {path.parent}")
     if path.exists() and not path.is_socket():
         raise ValueError(f"exists and is not a socket: {path}. Give a path of its own.")

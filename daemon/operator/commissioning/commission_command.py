@@ -100,7 +100,7 @@ def main(args: argparse.Namespace) -> int:
         raise UsageError("--skip needs --step: it would leave out all steps")
     if args.skip is not None and not args.skip.strip():
         raise UsageError("--skip needs a reason: the page says it")
-    site = site_files.open_site(args.site, args.config)
+    site = site_files.open_site(args.site, args.config, writes=not args.list)
     state = site_files.read_state(site)
     if args.list:
         print(listing(state))

@@ -6,6 +6,7 @@ Invariants:
 """
 
 import hashlib
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,8 +48,11 @@ class Site:
         return self.folder / name
 
 
-def open_site(directory: Path, config: str) -> Site:
+def open_site(directory: Path, config: str, *, writes: bool = True) -> Site:
     """Return a site whose folder exists.
+
+    Args:
+        writes: a step is done: what it measures must not be lost for a read-only folder.
 
     Raises:
         UsageError: there is no configuration, or the folder cannot be made.
@@ -61,6 +65,8 @@ def open_site(directory: Path, config: str) -> Site:
         site.folder.mkdir(exist_ok=True)
     except OSError as error:
         raise UsageError(f"{site.folder}: {error.strerror}") from error
+    if writes and not os.access(site.folder, os.W_OK | os.X_OK):
+        raise UsageError(f"{site.folder}: cannot be written. Change its owner or mode")
     return site
 
 
