@@ -9,6 +9,7 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -262,7 +263,18 @@ def _cell(recordings: Sequence[Recorded]) -> _Cell:
         theirs = _arm_of(other)
         if theirs != task.arm:
             raise IdentifyError(f"{other.name}: another tool or camera than in {first.name}")
+    for one, other in combinations(recordings, 2):
+        if _is_same(one, other):
+            raise IdentifyError(f"{other.name}: its steps are in {one.name} too. Leave one out.")
     return _Cell(task, first.texts["urdf"], geometry, tracking, control)
+
+
+def _is_same(one: Recorded, other: Recorded) -> bool:
+    """Return whether two recordings share their steps, whose noise would count as less."""
+    theirs = {(step.inputs.k, step.inputs.stamp_ns): step.inputs for step in one.steps}
+    ours = {(step.inputs.k, step.inputs.stamp_ns): step.inputs for step in other.steps}
+    shared = theirs.keys() & ours.keys()
+    return bool(shared) and all(theirs[step] == ours[step] for step in shared)
 
 
 def _arm_of(recorded: Recorded) -> Any:

@@ -151,6 +151,8 @@ def overrides_of(config: Path | None, assignments: list[str]) -> "Overrides":
         name, equals, value = text.partition("=")
         if not equals or not name:
             raise ValueError(f"--set {text}: should be NAME=VALUE")
+        if name in values:
+            raise ValueError(f"--set {name} is given twice")
         try:
             values[name] = json.loads(value)
         except (ValueError, RecursionError):
