@@ -141,7 +141,7 @@ def test_an_output_directory_in_a_wrong_place_is_one_line_before_any_work(
 
 
 @pytest.fixture
-def nobody(tmp_path: Path) -> Iterator[Path]:
+def stranger(tmp_path: Path) -> Iterator[Path]:
     """Another user, who may not enter the folder."""
     if os.getuid() != 0:
         pytest.skip("only root can become another user")
@@ -165,12 +165,12 @@ def nobody(tmp_path: Path) -> Iterator[Path]:
     ],
 )
 def test_a_place_of_another_user_is_one_line(
-    program: str, words: str, code: int, nobody: Path, capsys: Capture
+    program: str, words: str, code: int, stranger: Path, capsys: Capture
 ) -> None:
-    assert PROGRAMS[program]([*words.split(), str(nobody / "x")]) == code
+    assert PROGRAMS[program]([*words.split(), str(stranger / "x")]) == code
     shown = capsys.readouterr()
     assert (shown.out, shown.err.count("\n")) == ("", 1)
-    assert str(nobody / "x") in shown.err
+    assert str(stranger / "x") in shown.err
 
 
 def test_a_plot_in_a_wrong_place_is_one_line_before_any_work(
