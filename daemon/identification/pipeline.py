@@ -263,15 +263,17 @@ def _cell(recordings: Sequence[Recorded]) -> _Cell:
         theirs = _arm_of(other)
         if theirs != task.arm:
             raise IdentifyError(f"{other.name}: another tool or camera than in {first.name}")
-    for one, other in combinations(recordings, 2):
-        if _is_same(one, other):
-            raise IdentifyError(f"{other.name}: its steps are in {one.name} too. Leave one out.")
+    for earlier, other in combinations(recordings, 2):
+        if _is_same(earlier, other):
+            raise IdentifyError(
+                f"{other.name}: its steps are in {earlier.name} too. Leave one out."
+            )
     return _Cell(task, first.texts["urdf"], geometry, tracking, control)
 
 
-def _is_same(one: Recorded, other: Recorded) -> bool:
+def _is_same(earlier: Recorded, other: Recorded) -> bool:
     """Return whether two recordings share their steps, whose noise would count as less."""
-    theirs = {(step.inputs.k, step.inputs.stamp_ns): step.inputs for step in one.steps}
+    theirs = {(step.inputs.k, step.inputs.stamp_ns): step.inputs for step in earlier.steps}
     ours = {(step.inputs.k, step.inputs.stamp_ns): step.inputs for step in other.steps}
     shared = theirs.keys() & ours.keys()
     return bool(shared) and all(theirs[step] == ours[step] for step in shared)
