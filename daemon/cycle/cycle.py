@@ -12,6 +12,7 @@ Invariants:
 """
 
 from collections.abc import Callable, Hashable
+from operator import sub
 from typing import Any
 
 from msgspec.structs import replace
@@ -280,8 +281,11 @@ class Cycle(RestingStepper):
         before, period = self._arrived, self.parameters.cycle_s
         if before is None:
             return None
-        speeds = self.parameters.controller.limits.speed.tolist()  # of the axes that there are
         old_axes, new_axes = ((*each.joints, *each.external[:1]) for each in (before, robot))
+        # One comparison for all axes of an ordinary telegram; NaN fails it too.
+        if sum(map(abs, map(sub, new_axes, old_axes))) <= LONGEST_JUMP:
+            return None
+        speeds = self.parameters.controller.limits.speed.tolist()  # of the axes that there are
         for name, old, new, speed in zip(AXES, old_axes, new_axes, speeds, strict=False):
             reach = cycles * max(LONGEST_JUMP, OVERSPEED * speed * period)
             if not abs(new - old) <= reach:
