@@ -61,9 +61,12 @@ class ExpectedTelegram:
     Invariants:
         It is made before the telegram comes. One match and eight comparisons are left.
         What it accepts, ``RsiCodec.parse_robot`` accepts too.
+
+    Attributes:
+        matched: the datagram that was compared last, and its match.
     """
 
-    __slots__ = ("_groups", "_high", "_low", "_match", "_texts")
+    __slots__ = ("_groups", "_high", "_low", "_match", "_texts", "matched")
 
     def __init__(
         self,
@@ -82,6 +85,7 @@ class ExpectedTelegram:
             low: open lower bound of each joint, in the unit of the wire [deg].
             high: the upper bounds [deg].
         """
+        self.matched: tuple[bytes | None, re.Match[bytes] | None] = None, None
         self._match = match
         self._groups = tuple(groups)
         self._texts = list(texts)
@@ -91,6 +95,7 @@ class ExpectedTelegram:
     def matches(self, data: bytes) -> bool:
         """Return whether a datagram is the telegram."""
         match = self._match(data)
+        self.matched = data, match
         # A datagram as long as the buffer may be incomplete.
         if match is None or len(data) >= MAX_TELEGRAM_BYTES:
             return False
@@ -141,7 +146,10 @@ class TelegramReader:
             raise RsiError(f"{len(data)} bytes, at most {MAX_TELEGRAM_BYTES}", evidence=data)
         if b"<!" in data:
             raise RsiError("document types and entities are refused", evidence=data)
-        match = self._pattern.fullmatch(data)
+        # The comparison before the reply has matched it already.
+        compared, match = (None, None) if self._next is None else self._next.matched
+        if compared is not data:
+            match = self._pattern.fullmatch(data)
         if match is None:
             return self._read_tolerantly(data)
         self.fast += 1
@@ -233,6 +241,7 @@ class TelegramReader:
         self._order = _permutation(self._seen)
         self._type = _type_of(document)
         self._mismatches = 0
+        self._next: ExpectedTelegram | None = None
 
     def _group(self, position: int | None) -> str:
         if position is None:
@@ -300,7 +309,8 @@ class RobotReader(TelegramReader):
             high = tuple([(q + reach) / scale for q, scale in zip(joints, scales, strict=True)])
             self._bounds = joints, reach, low, high
         groups = self._groups_of(self._expected)
-        return ExpectedTelegram(self._pattern.fullmatch, groups, texts, low, high)
+        self._next = ExpectedTelegram(self._pattern.fullmatch, groups, texts, low, high)
+        return self._next
 
 
 class SensorReader(TelegramReader):

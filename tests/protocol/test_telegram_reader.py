@@ -1,5 +1,6 @@
 """The reader of telegrams: garbage, and the fast way, which decides as the tolerant one."""
 
+import re
 from importlib.resources import files
 
 from hypothesis import example, given, settings
@@ -166,3 +167,18 @@ def test_a_robot_at_rest_is_expected_where_it_is_with_each_further_counter() -> 
 def test_nothing_is_expected_without_joints_in_the_telegram() -> None:
     codec = RsiCodec(config("DEF_Delay LONG INTERNAL"))
     assert codec.robot_reader.expect(12, 0, (0.0,) * 6, 0.05) is None
+
+
+def test_a_telegram_that_was_compared_before_its_reply_is_not_matched_again() -> None:
+    reader = RsiCodec(SETPOINTS).robot_reader
+    wanted = reader.parse(SAMPLE)
+    assert wanted.joints is not None
+    expected = reader.expect(wanted.ipoc, wanted.delay, wanted.joints, 0.05)
+    assert expected is not None
+    expected.matches(SAMPLE)
+    reader._pattern = re.compile(b"of no telegram")
+    tolerant = reader.tolerant
+    assert reader.parse(SAMPLE) == wanted
+    assert reader.tolerant == tolerant
+    assert reader.parse(SAMPLE + b" ") == wanted
+    assert reader.tolerant == tolerant + 1
