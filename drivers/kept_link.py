@@ -7,7 +7,6 @@ Invariants:
 
 import asyncio
 from abc import ABC, abstractmethod
-from collections import Counter
 
 from linemate.drivers.backoff import Backoff
 from linemate.drivers.link import LinkStatus
@@ -18,17 +17,14 @@ class KeptLink(ABC):
 
     Attributes:
         status: the link's visible state.
+        counters: events by name.
     """
 
     def __init__(self, name: str, backoff: Backoff | None = None) -> None:
         self.status = LinkStatus(name)
+        self.counters = self.status.counters
         self._backoff = backoff or Backoff()
         self._task: asyncio.Task[None] | None = None
-
-    @property
-    def counters(self) -> Counter[str]:
-        """Events by name."""
-        return self.status.counters
 
     def open(self) -> None:
         """Start to open the transport on the running loop, and to keep it open."""
