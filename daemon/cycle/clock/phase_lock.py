@@ -305,7 +305,7 @@ class PhaseLock:
             lead_ns = self._lead.lead_ns
         self.lead_ns = lead_ns
         self.next_ns = now_ns + period_ns
-        self.is_locked = self._is_prepared = self._is_attended = False
+        self.is_locked = self._is_prepared = self._is_attended = self._is_followed = False
         self.skipped = self.unfollowed = self._rest_ns = self._slow_ns = 0
         self.arrival_ns: int | None = None
         self._set_period(period_ns)
@@ -333,7 +333,8 @@ class PhaseLock:
         if self._lead is not None:
             self.lead_ns = self._lead.lead_ns
         self._is_prepared = self._is_attended = False
-        self.is_locked, self._rest_ns = True, 0
+        self.is_locked = self._is_followed = True
+        self._rest_ns = 0
 
     def date(self, stamp_ns: int, cycles: int) -> int:
         """Return when the controller's cycle began whose telegram has come [ns].
@@ -385,8 +386,13 @@ class PhaseLock:
             return self.next_ns - ATTEND_NS
         return self.next_ns + self.grace_ns + max(self._rest_ns, self._slow_ns)
 
-    def has_due(self, now_ns: int) -> bool:
-        """Return whether a step is due now [ns]."""
+    def may_pass_over(self, now_ns: int) -> bool:
+        """Return whether a step is due now [ns] that could pass over a telegram that waits.
+
+        None waits before its time, unless it is that of a cycle before. An empty read is 15 us.
+        """
+        if self._is_followed and now_ns < self.next_ns:
+            return False
         if self.next_ns + self.grace_ns <= now_ns:
             return True
         return self._can_prepare and self.next_ns - self.lead_ns <= now_ns
@@ -394,11 +400,12 @@ class PhaseLock:
     def take_due(self, now_ns: int) -> tuple[Due, ...]:
         """Return the steps that are due now [ns], in order."""
         due: list[Due] = []
-        self._skip(now_ns)
+        if self.next_ns + self.grace_ns <= now_ns:
+            self._skip(now_ns)
         while self.next_ns + self.grace_ns <= now_ns:
             due.append(Due(DueKind.MISSING, self.next_ns))
             self.next_ns += self.period_ns
-            self._is_prepared = self._is_attended = False
+            self._is_prepared = self._is_attended = self._is_followed = False
         if self._can_prepare and self.next_ns - self.lead_ns <= now_ns:
             due.append(Due(DueKind.PREPARE, self.next_ns))
             self._is_prepared = True

@@ -151,7 +151,7 @@ class CycleTimer:
         elif self._timer.read() == 0:
             return
         self._is_armed = False
-        if lock.has_due(now_ns):
+        if lock.may_pass_over(now_ns):
             self.poll()
         for due in lock.take_due(now_ns):
             self._call(self.on_due, due)
