@@ -157,6 +157,8 @@ class SerialLink(KeptLink):
             self.status.last_sample_stamp_ns = sample.stamp_ns
             self._deliver(sample)
         if samples:
+            # The dialogue is over, and so is the line end of its last answer.
+            self._host = None
             self._last_ns = stamp_ns
             self._backoff.reset()
 

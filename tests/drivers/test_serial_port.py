@@ -47,6 +47,7 @@ def test_the_dialogue_is_run_and_frames_become_samples(tmp_path: Path, device: s
         for number in range(10):
             sensor.emit(FORCE, TORQUE, number)
         await until(lambda: len(samples) == 10)
+        assert link._host is None, "frames still pass through the dialogue"
         assert samples[0].force == pytest.approx(FORCE)
         assert samples[0].torque == pytest.approx(TORQUE)
         link.close()
