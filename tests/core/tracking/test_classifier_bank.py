@@ -219,6 +219,21 @@ def test_a_shorter_cycle_has_no_more_hypotheses_than_one_of_4_ms(dt: float) -> N
     assert odds == pytest.approx(math.log(len(bank) * spacing / 0.012), abs=1e-6)
 
 
+@pytest.mark.parametrize("mean", [1.0, 0.0, -1e-9])
+@pytest.mark.parametrize("least", [-math.inf, 1.45])
+def test_one_hypothesis_has_the_posterior_of_a_bank(mean: float, least: float) -> None:
+    prior = onset_bank.AmplitudePrior(mean, 0.3, least, odds=-3.7)
+    for A, B, usual in itertools.product((0.0, 0.7, 913.0), (-31.0, 0.2, 1500.0), (0.1, 1.0)):
+        sums = np.array(((A,), (B,), (0.2,), (0.0,), (usual,)))
+        one = onset_bank.posterior(onset_bank.OnsetBank(np.zeros((STATES, 1)), sums), prior)
+        # With a share of 1 it is computed as a bank.
+        bank = onset_bank.OnsetBank(np.zeros((STATES, 1)), sums, np.ones(1))
+        result = onset_bank.posterior(bank, prior)
+        assert (one.odds, one.variance) == (result.odds, result.variance)
+        assert one.weights == result.weights == 1.0
+        assert one.amplitudes == result.amplitudes
+
+
 @pytest.mark.parametrize("omegas", [(0.0,), (3.0, 9.0)])
 @pytest.mark.parametrize("dt", [0.001, 0.002, 0.004])
 def test_a_full_bank_leaves_out_old_onsets_and_keeps_their_weight(

@@ -157,7 +157,7 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
         error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
         sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
         if shares is not None:
-            shares = np.concatenate((np.full(len(onsets), share), shares[:keep]))
+            shares = np.concatenate(([share] * len(onsets), shares[:keep]))
     age = sums[2]
     age += dt
     later = OnsetBank(error, sums, shares)
@@ -220,8 +220,11 @@ def posterior(
     Args:
         onset_odds: log odds (m,) of each onset before any reading; None without a difference.
     """
-    if not bank.sums.shape[1]:
+    count = bank.sums.shape[1]
+    if not count:
         return NO_POSTERIOR
+    if count == 1 and bank.shares is None and onset_odds is None:
+        return _of_one(bank, prior)
     ratios, amplitudes = likelihood_ratios(bank, prior)
     if bank.shares is not None:
         ratios += np.log(bank.shares)
@@ -231,6 +234,20 @@ def posterior(
     raw = np.exp(ratios - top)
     total = float(np.add.reduce(raw))
     return OnsetPosterior(top + math.log(total), raw / total, amplitudes, prior.variance)
+
+
+def _of_one(bank: OnsetBank, prior: AmplitudePrior) -> OnsetPosterior:
+    """Return the posterior of one hypothesis, bit for bit as of more, in a third of the time."""
+    a, b, _, _, usual = bank.sums[:, 0].tolist()
+    usual *= prior.mean
+    precision, weighted = a + 1.0 / prior.variance, b + usual / prior.variance
+    mean = weighted / precision
+    # numpy's logarithm, whose last bit may be another than that of math.
+    ratio = weighted * mean - float(np.log(precision))
+    ratio = 0.5 * (ratio - (usual * usual / prior.variance + math.log(prior.variance)))
+    ratio = prior.odds + (NONE if mean * prior.mean < 0.0 else ratio)
+    odds = NONE if mean - usual < prior.least - prior.mean else ratio
+    return OnsetPosterior(odds, np.array((1.0,)), np.array((mean,)), prior.variance)
 
 
 def likelier(
@@ -264,8 +281,7 @@ def without_support(bank: OnsetBank, prior: AmplitudePrior) -> OnsetBank:
 
 def oldest(bank: OnsetBank) -> OnsetBank:
     """Return the oldest hypothesis of a bank alone."""
-    shares = None if bank.shares is None else np.ones(1)
-    return OnsetBank(bank.error[:, -1:], bank.sums[:, -1:], shares)
+    return OnsetBank(bank.error[:, -1:], bank.sums[:, -1:])
 
 
 def merge_moments(bank: OnsetBank, unit: Array, result: OnsetPosterior) -> tuple[Array, Array]:
