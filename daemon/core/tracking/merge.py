@@ -257,7 +257,7 @@ def smoothed(values: Array, kernel: Array) -> Array:
     if half == 0:
         return values
     smooth = values.copy()
-    smooth[half:-half] = np.convolve(values, kernel, "valid")
+    smooth[half:-half] = np.correlate(values, kernel, "valid")
     return smooth
 
 

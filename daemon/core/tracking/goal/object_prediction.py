@@ -35,11 +35,11 @@ def predict_object(
     steady = along[:count]
     added = _added_way(tracker, state, view, along, tracker.ahead)
     # What excites a swing has the corners of the conveyor's way.
-    added[:count] = merge.smoothed(added[:count], tracker.corner)
+    near = None if added is None else merge.smoothed(added[:count], tracker.corner)
     if not tracker.settings.predict:
         ahead = 0.0 * ahead
     if not _is_prediction_due(tracker, state, view, now_ns):
-        poses, part = _sensed_poses(tracker, state, now_ns, steady, ahead, relative, added[:count])
+        poses, part = _sensed_poses(tracker, state, now_ns, steady, ahead, relative, near)
         return state, poses, part
     later, times = along[-leads:], tracker.ahead[-leads:]
     poses, part = _sensed_poses(
@@ -49,7 +49,7 @@ def predict_object(
         np.concatenate((steady, later)),
         np.concatenate((ahead, times)),
         np.concatenate((relative, np.zeros((leads, 6)))),
-        np.concatenate((added[:count], added[-leads:])),
+        None if added is None or near is None else np.concatenate((near, added[-leads:])),
     )
     state = _kept_prediction(tracker, state, view, now_ns, poses[count:], later)
     return state, poses[:count], part
@@ -114,17 +114,17 @@ def _kept_prediction(
 
 def _added_way(
     tracker: Tracker, state: TrackerState, view: ConveyorEstimate | None, along: Array, times: Array
-) -> Array:
+) -> Array | None:
     """Return what a change of speed adds to the conveyor's way (m,) [m].
 
-    Zeros in contact, where the tool holds the object, and where nothing across depends on it.
+    None in contact, where the tool holds the object, and where nothing across depends on it.
 
     Args:
         along: (m,) predicted positions of the object along the conveyor [m].
         times: (m,) from now [s].
     """
     if view is None or state.contact or not tracker.transverse.is_driven:
-        return np.zeros(len(along))
+        return None
     sway = tracker.classifier.predict_sway(state.conveyor, times)
     steady = view.position - view.sway + view.speed * times
     added: Array = along - sway - steady
@@ -138,7 +138,7 @@ def _sensed_poses(
     along: Array,
     ahead: Array,
     relative: Array,
-    added: Array,
+    added: Array | None,
 ) -> tuple[Array, Array]:
     """Return x_f at some times (m, 6), (9) under the class, and the object now (6,).
 
@@ -147,7 +147,7 @@ def _sensed_poses(
         along: (m,) predicted positions along the conveyor [m].
         ahead: (m,) the times from now [s], of which the first is 0.
         relative: (m, 6) the programmed tcp in the object.
-        added: (m,) what a change of the conveyor's speed adds to its way [m].
+        added: (m,) what a change of the conveyor's speed adds to its way [m]; None for nothing.
     """
     if tracker.foresight is not None:
         positions, vectors = tracker.foresight(stamp_ns, ahead)
@@ -156,7 +156,7 @@ def _sensed_poses(
     assert state.transverse is not None  # noqa: S101 - the caller has checked
     estimate = filtered.believed(state.transverse)
     swing = filtered.swing_angles(estimate, ahead)
-    if added.any():  # zeros in contact, a third of a task
+    if added is not None:
         swing += filtered.driven_angles(estimate, ahead, added)
     part = part_ahead(tracker, state, along, ahead, swing)
     return approach.sensed(part, filtered.swing, relative, turned=tracker.reference.turned)
