@@ -23,11 +23,12 @@ from linemate.simulators.plants.scenario import Scenario
     ("late", "value"), [(-1.0, 8.0), (0.0, 8.0), (0.5, 6.0), (1.0, 4.0), (1.75, 1.0), (9.0, 0.0)]
 )
 def test_a_plan_is_taken_at_the_time_of_the_wrench(late: float, value: float) -> None:
-    assert at_delay((0.0, 4.0, 8.0), late) == pytest.approx(value)
+    plan = [(y, 2.0 * y, -y) for y in (0.0, 4.0, 8.0)]
+    assert at_delay(plan, late) == pytest.approx((value, 2.0 * value, -value))
 
 
 def test_a_plan_of_one_step_is_the_same_at_any_time() -> None:
-    assert at_delay((3.0,), 0.6) == 3.0
+    assert at_delay([(3.0, 2.0, 1.0)], 0.6) == (3.0, 2.0, 1.0)
 
 
 def contact(tracker: Tracker) -> TrackerState:

@@ -29,12 +29,12 @@ def update_acceleration(
     late = (samples.stamp_ns - raw.stamp_ns) * 1e-9 / tracker.cycle_s
     mean = float(raw.force[2])
     sampled = tuple([each.force[2] - mean for each in samples.wrench])
-    x, y, z = (at_delay(values, late) for values in zip(*planned, strict=True))
-    return replace(state, accelerations=planned, acceleration=(x, y, z), sampled=sampled)
+    then = at_delay(planned, late)
+    return replace(state, accelerations=planned, acceleration=then, sampled=sampled)
 
 
-def at_delay(values: Sequence[float], late: float) -> float:
-    """Return a value some steps ago, between two of them linearly.
+def at_delay(values: Sequence[Vector3], late: float) -> Vector3:
+    """Return a vector some steps ago, between two of them linearly.
 
     Args:
         values: one a step, newest last.
@@ -42,8 +42,9 @@ def at_delay(values: Sequence[float], late: float) -> float:
     """
     late = min(max(late, 0.0), len(values) - 1.0)
     whole = int(late)
-    newer, older = values[-1 - whole], values[max(-2 - whole, -len(values))]
-    return newer + (late - whole) * (older - newer)
+    (x, y, z), (a, b, c) = values[-1 - whole], values[max(-2 - whole, -len(values))]
+    share = late - whole
+    return (x + share * (a - x), y + share * (b - y), z + share * (c - z))
 
 
 def planned_acceleration(tracker: Tracker, poses: Array) -> Vector3:
