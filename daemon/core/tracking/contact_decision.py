@@ -183,9 +183,10 @@ def _beyond(tracker: Tracker, state: TrackerState, report: Report) -> float:
     push = 0.0 if report.force is None else -float(report.force[2])
     stiffness = tracker.settings.tactile.stiffness[2]
     times = state.touching, tracker.cycle_s
-    planned = state.poses[0]
-    tcp = planned if state.history is None else state.history.poses[-1]
-    advance = touch_proof.advance(state.distance, tcp, planned)
+    planned, advance = state.poses[0], 0.0
+    if touch_proof.is_due(state.touching):
+        tcp = planned if state.history is None else state.history.poses[-1]
+        advance = touch_proof.advance(state.distance, tcp, planned)
     return touch_proof.advanced(state.beyond_s, push, advance, stiffness, *times)
 
 

@@ -79,12 +79,15 @@ def update_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) ->
     """Return the state with what a force on the clamped tool says of its sign."""
     if wrench is None or not is_seated(tracker, state) or state.history is None:
         return state
+    before, force = state.force_sign, float(wrench.force[2])
+    least = tracker.settings.tactile.contact_force
+    if force < -least and before == force_sign.TRUSTED:
+        return state  # whatever the offset is, as in most of a contact
     axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
     # The compliance begins where the tool touched: that is no advance of the target.
     begun = state.compliance.press is not None
     offset = float(axis @ state.compliance.offset) if begun else None
-    before, force = state.force_sign, float(wrench.force[2])
-    sign = force_sign.advanced(before, force, offset, tracker.settings.tactile.contact_force)
+    sign = force_sign.advanced(before, force, offset, least)
     if sign.is_suspect and state.releasing is None and state.touching > force_sign.SEATED_S:
         sign = force_sign.tested(sign, force, tracker.cycle_s)
     if sign == before:

@@ -118,8 +118,8 @@ def averaged(pull: Vector3, wrench: Wrench | None, dt: float) -> Vector3:
     if wrench is None:
         return pull
     gain = 1.0 - math.exp(-dt / PULL_S)
-    x, y, z = (mean + gain * (f - mean) for mean, f in zip(pull, wrench.force, strict=True))
-    return x, y, z
+    (x, y, z), (a, b, c) = pull, wrench.force.tolist()
+    return x + gain * (a - x), y + gain * (b - y), z + gain * (c - z)
 
 
 def averaged_square(power: float, wrench: Wrench | None, dt: float) -> float:

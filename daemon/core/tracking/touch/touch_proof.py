@@ -47,9 +47,17 @@ def advanced(
     """
     if is_doubted(beyond_s):
         return beyond_s
-    is_due = SETTLED_S < touching < PROVEN_S
     is_beyond = push > stiffness * (advance + EXCESS_M)
-    return beyond_s + dt if is_due and is_beyond else 0.0
+    return beyond_s + dt if is_due(touching) and is_beyond else 0.0
+
+
+def is_due(touching: float) -> bool:
+    """Return whether a touch may be doubted yet, or still.
+
+    Args:
+        touching: time since the touch [s].
+    """
+    return SETTLED_S < touching < PROVEN_S
 
 
 def is_doubted(beyond_s: float) -> bool:
