@@ -120,7 +120,7 @@ class Reference:
         """
         first, last = self._segment(float(times[0])), self._segment(float(times[-1]))
         if first == last:
-            return self._within(first, times)
+            return self._within(first, times, self._progress(first, times))
         poses, relative = np.empty((2, len(times), 6))
         start = 0
         for segment in range(first, last + 1):
@@ -129,7 +129,8 @@ class Reference:
                 end = int(np.searchsorted(times, self.times[segment + 1]))
             part = slice(start, end)
             if end > start:
-                poses[part], relative[part] = self._within(segment, times[part])
+                progress = self._progress(segment, times[part])
+                poses[part], relative[part] = self._within(segment, times[part], progress)
             start = end
         return poses, relative
 
@@ -149,12 +150,16 @@ class Reference:
             stood: (m,) for how long [s].
         """
         i = self._segment(time)
-        at = np.array([time, min(time + 1e-3, self.times[i + 1]), self.times[i + 1]])
-        travel = self.speed * float(self._travelling(i, self._progress(i, at[:1]))[0])
-        points, _ = self._within(i, at)
+        end = float(self.times[i + 1])
+        soon = min(time + 1e-3, end)
+        at = np.array((time, soon, end))
+        progress = self._progress(i, at)
+        travel = self.speed * float(self._travelling(i, progress)[0])
+        points, _ = self._within(i, at, progress)
         points[:, ALONG] -= travel * (at - time)  # what is left is the tool's own motion
-        own = (points[1] - points[0]) / max(at[1] - time, 1e-9)
-        speed, left = (float(np.linalg.norm(d[:3])) for d in (own, points[2] - points[0]))
+        own = (points[1] - points[0]) / max(soon - time, 1e-9)
+        # numpy's norm costs five times as much.
+        speed, left = (math.sqrt(float(d.dot(d))) for d in (own[:3], (points[2] - points[0])[:3]))
         lasts = min(1.875 * speed / STANDING_ACCELERATION, 2.0 * left / max(speed, 1e-9))
         way: Array = _run_out(lasts, stood)[:, None] * own
         way[:, ALONG] += travel * _run_out(1.875 * abs(travel) / STANDING_ACCELERATION, stood)
@@ -179,13 +184,16 @@ class Reference:
         share: Array = self.travels[i] + progress * (self.travels[i + 1] - self.travels[i])
         return share
 
-    def _within(self, i: int, times: Array) -> tuple[Array, Array]:
-        """Return x_r and (x_o^nom)^-1 x_r (m, 6) at times of one stretch."""
-        s = self._progress(i, times)
+    def _within(self, i: int, times: Array, progress: Array) -> tuple[Array, Array]:
+        """Return x_r and (x_o^nom)^-1 x_r (m, 6) at times of one stretch.
+
+        Args:
+            progress: how much (m,) of it is done then.
+        """
         here, there = self.points[i], self.points[i + 1]
-        poses = here + s[:, None] * (there - here)
+        poses = here + progress[:, None] * (there - here)
         relative = poses.copy()
-        share = self._travelling(i, s)
+        share = self._travelling(i, progress)
         way = self.speed * times
         base = 1.0 - share
         relative[:, :3] -= base[:, None] * self.origin
