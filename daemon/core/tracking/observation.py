@@ -81,7 +81,10 @@ def _motion_from(stamps: Sequence[int]) -> int:
     """
     last, spaces = stamps[-1], len(stamps) - 1
     least = (last - stamps[0]) / (4 * spaces)  # a quarter of the usual time between two poses
-    return next(j for j in range(spaces - 1, -1, -1) if last - stamps[j] >= (spaces - j) * least)
+    for j in range(spaces - 1, 0, -1):
+        if last - stamps[j] >= (spaces - j) * least:
+            return j
+    return 0
 
 
 def date_error(history: History, cycle_s: float) -> float:

@@ -162,7 +162,8 @@ class Reference:
         speed, left = (math.sqrt(float(d.dot(d))) for d in (own[:3], (points[2] - points[0])[:3]))
         lasts = min(1.875 * speed / STANDING_ACCELERATION, 2.0 * left / max(speed, 1e-9))
         way: Array = _run_out(lasts, stood)[:, None] * own
-        way[:, ALONG] += travel * _run_out(1.875 * abs(travel) / STANDING_ACCELERATION, stood)
+        if travel:
+            way[:, ALONG] += travel * _run_out(1.875 * abs(travel) / STANDING_ACCELERATION, stood)
         return way
 
     def _progress(self, i: int, times: Array) -> Array:

@@ -521,7 +521,8 @@ class BankModel:
         product twice.
         """
         x: Array = F.dot(state.x)
-        product = float(state.x[GAIN]) * self.unit_acceleration(state)
+        gain = float(state.x[GAIN])
+        product = gain and gain * self.unit_acceleration(state)
         if product:
             pole = self.sway_pole(state)
             forced = product * sway_bank.response_at(state.sway_omega, pole, dt)

@@ -252,8 +252,9 @@ def _led(state: Compliance, off: Vector3, touching: float, dt: float) -> Complia
     moves_on = length > DEAD_BAND and not is_stopped
     share = 1.0 - DEAD_BAND / length if moves_on else 0.0
     step = rate * dt * share * max(1.0 - state.energy / ENERGY_J, 0.0)
-    x, y, z = (o + step * r for o, r in zip(state.offset, smooth, strict=True))
-    return replace(state, smooth=smooth, offset=_bounded((x, y, z)))
+    (x, y, z), (a, b, c) = state.offset, smooth
+    offset = _bounded((x + step * a, y + step * b, z + step * c))
+    return replace(state, smooth=smooth, offset=offset)
 
 
 def waiting(state: Compliance) -> Compliance:
@@ -384,8 +385,8 @@ def _bounded(offset: Vector3) -> Vector3:
 
 def _toward(old: Vector3, new: Vector3, gain: float) -> Vector3:
     """Return a first-order lag one step later."""
-    x, y, z = (a + gain * (b - a) for a, b in zip(old, new, strict=True))
-    return (x, y, z)
+    (a, b, c), (x, y, z) = old, new
+    return (a + gain * (x - a), b + gain * (y - b), c + gain * (z - c))
 
 
 def _minus(a: Vector3, b: Vector3) -> Vector3:
