@@ -145,6 +145,8 @@ def pressing(
         times: (m,) since the contact began [s], and until when it was commanded already.
     """
     since, commanded = times
+    if steps <= 0 and since[0] - commanded >= touched.pressing_s:
+        return relative
     share = smoothstep((since - commanded) / touched.pressing_s)
     if steps <= 0 and share[0] >= 1.0:
         return relative
