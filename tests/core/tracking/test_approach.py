@@ -270,3 +270,17 @@ def test_a_release_that_waits_makes_up_for_a_whole_lag() -> None:
     for _ in range(1000):
         lead = approach.lead(lead, -0.007 * speed, speed, 0.012, is_whole=True)
     assert lead == pytest.approx(0.007, rel=1e-3)
+
+
+def test_a_lead_moves_the_tcp_by_the_rates_of_the_object() -> None:
+    lead, dt, relative = -0.03, 0.004, np.tile((0.1, -0.2, -0.3, 0.0, 0.0, 0.0), (9, 1))
+    times = dt * np.arange(9.0)
+    swing, along = WIDTH * np.sin(30.0 * times)[None], 0.1 * times**2
+    here = Part(-1.06, 2.17, along, rotations.exp(TILT), swing, lifted=0.3 * along)
+    moved = lead * np.gradient(along, dt)
+    turned = swing + lead * np.gradient(swing, dt, axis=1)
+    lifted = 0.3 * along + lead * np.gradient(0.3 * along, dt)
+    there = Part(-1.06, 2.17, along + moved, rotations.exp(TILT), turned, lifted=lifted)
+    now, then = (approach.sensed(p, (MODE,), relative, turned=False)[0] for p in (here, there))
+    ahead = approach.ahead(here, lead, dt, (MODE,), relative, turned=False)
+    assert (ahead == then - now).all()
