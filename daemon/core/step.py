@@ -29,7 +29,7 @@ from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.goal import rest_state, retraction
 from linemate.daemon.core.tracking.reference import Reference
-from linemate.daemon.core.tracking.task import Phase
+from linemate.daemon.core.tracking.task import Gate, Phase
 from linemate.daemon.core.way_home import HomePath
 from linemate.protocol.stamped_samples import RobotSample
 
@@ -376,7 +376,12 @@ def finish(
         if retraction.is_interrupted(parameters.tracker, tracker):
             state = _withdraw_again(delivered, tracker, planned.windup, parameters)
             return state, _outputs(state, inputs, planned.report, None, "no reply", parameters)
-        if (is_lost or tracker.slowed) and inputs.order is not MotionOrder.RETREAT:
+        leaves = inputs.order is not MotionOrder.RETREAT
+        if leaves and retraction.may_have_opened(parameters.tracker, state.tracker, tracker):
+            delivered, tracker, desired = _after_silence(
+                state, delivered, tracker, desired, parameters, is_lost=is_lost
+            )
+        elif leaves and (is_lost or tracker.slowed):
             tracker, is_paused = retraction.pause(
                 parameters.tracker, state.tracker, tracker, is_lost=is_lost
             )
@@ -402,6 +407,48 @@ def finish(
     if planned.report.object_left or desired.command is None:
         outputs = replace(outputs, object_left=True)
     return state, outputs
+
+
+def _after_silence(
+    before: StepState,
+    state: StepState,
+    tracker: tracker_state.TrackerState,
+    desired: control.DesiredCommand,
+    parameters: Parameters,
+    *,
+    is_lost: bool,
+) -> tuple[StepState, tracker_state.TrackerState, control.DesiredCommand]:
+    """Return state, tracker and desired command of a tool whose clamp may have opened in silence.
+
+    Until that is known it goes on with its object, as far behind as it is. One that is free keeps
+    what it is behind: a catch-up would swing it. One that is clamped catches up.
+
+    Args:
+        before: of the step before.
+        state: it, with the limiter at the command that the robot executes.
+    """
+    planned, limiter = desired.command, state.control.limiter
+    if planned is None:
+        return state, tracker, desired
+    going = desired.state.joints[0] - before.control.joints[0]
+    behind = limiter.position + going - planned
+    way = _tcp(parameters, planned + behind) - _tcp(parameters, planned)
+    share = retraction.kept_share(way)
+    if not retraction.is_reported(parameters.tracker, before.tracker, tracker, is_lost=is_lost):
+        tracker = replace(tracker, stood=max(before.tracker.stood, tracker.stood))
+        desired = control.DesiredCommand(desired.state, planned + share * behind)
+    elif Gate.WHEEL_RELEASED in tracker.passed:
+        way, behind = share * way, share * behind
+        axis = _axis(parameters, behind)
+        tracker = retraction.stay_behind(parameters.tracker, tracker, way, axis)
+        plan = control.displaced(desired.state, behind, way)
+        desired = control.DesiredCommand(plan, planned + behind)
+    if desired.command is not None:
+        # The way to another plan would count as the speed of this one.
+        last, speed = desired.command - going, going / parameters.cycle_s
+        limiter = replace(limiter, desired=last, desired_speed=speed)
+        state = replace(state, control=replace(state.control, limiter=limiter))
+    return state, tracker, desired
 
 
 def _paused(

@@ -238,6 +238,24 @@ def at_rest(
     )
 
 
+def displaced(state: ControlState, joints: Array, pose: Array) -> ControlState:
+    """Return the state of a plan that is displaced as a whole.
+
+    Args:
+        joints: (axes,) by which its joints are.
+        pose: (6,) by which its tcp is.
+    """
+    commands = state.commands
+    return structs.replace(
+        state,
+        past_poses=state.past_poses + pose,
+        past_joints=state.past_joints + joints,
+        joints=state.joints + joints,
+        poses=state.poses + pose,
+        commands=None if commands is None else commands + joints,
+    )
+
+
 def links_of(controller: Controller, joints: Array, wound: WindupState | None) -> Array:
     """Return the positions (axes,) of the links for those of the motors.
 

@@ -50,6 +50,12 @@ def advance(plan: AxisPlan, goal: float, ramp: float, dt: float) -> AxisPlan:
     return AxisPlan(positions, (first, second, third), goal)
 
 
+def displaced(plan: AxisPlan, way: float) -> AxisPlan:
+    """Return the plan displaced as a whole by a way [m]; it goes back to its goal."""
+    first, second, third = plan.stages
+    return AxisPlan(plan.positions + way, (first + way, second + way, third + way), plan.goal)
+
+
 def delay(ramp: float, dt: float) -> float:
     """Return by how much the plan lags behind a goal of constant speed [s]."""
     gain = _gain(ramp, dt)

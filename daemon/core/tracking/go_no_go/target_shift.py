@@ -79,10 +79,14 @@ def advanced(
     return later if is_eased else replace(later, begun=0.0, rate=0.0, age=math.inf)
 
 
-def left_behind(shift: TargetShift, way: float) -> TargetShift:
-    """Return the shift of a target that stayed behind its object by one more way [m]."""
+def left_behind(shift: TargetShift, way: float, delay: float) -> TargetShift:
+    """Return the shift of a target that stayed behind its object by one more way [m].
+
+    Args:
+        delay: after which it begins to go back [s]: behind what is committed.
+    """
     now, soon = remaining(shift, np.array((0.0, RATE_S))).tolist()
-    return replace(shift, begun=now - way, rate=(soon - now) / RATE_S, age=0.0)
+    return replace(shift, begun=now - way, rate=(soon - now) / RATE_S, age=-delay)
 
 
 def duration(shift: TargetShift) -> float:

@@ -14,7 +14,10 @@ from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 
 LONGEST_CATCH_UP_S = 0.03  # a retraction without commands for longer begins again at rest [s]
 HUB_DEPTH = 0.01  # way from the object from which on a released tool may lag behind it [m]
-LARGEST_LAG = 0.009  # of one that is nearer; beyond it the plan runs on, to catch up at once [m]
+LARGEST_LAG = 0.009  # of one that is nearer [m]; beyond it the plan runs on, and it keeps only
+KEPT = 0.4  # this share of it: one that keeps the whole is dragged along the hub
+CAUGHT_UP = 0.6  # of half a period: the free tool swings less if a shorter silence is caught up
+REPORT_CYCLES = 2.5  # until telegrams report that the clamp is open
 
 
 def is_interrupted(tracker: Tracker, state: TrackerState) -> bool:
@@ -72,6 +75,59 @@ def withdraw(
     return state, goal
 
 
+def may_have_opened(tracker: Tracker, before: TrackerState, after: TrackerState) -> bool:
+    """Return whether the clamp may have opened while no telegram could report it."""
+    if after.releasing is None or after.withdrawn is not None or not before.contact:
+        return False
+    is_long = max(before.stood, after.stood) > CAUGHT_UP * max(_half_periods(tracker))
+    return is_long and after.releasing >= release.OPENING_S
+
+
+def is_reported(
+    tracker: Tracker, before: TrackerState, after: TrackerState, *, is_lost: bool
+) -> bool:
+    """Return whether a clamp that may have opened in silence is known to be open or closed.
+
+    A tool that is far behind waits for the first telegram alone.
+
+    Args:
+        is_lost: the robot did not get the last command.
+    """
+    if Gate.WHEEL_RELEASED in after.passed:
+        return True
+    is_far = after.speed * before.stood > LARGEST_LAG
+    late = (after.releasing or 0.0) - release.OPENING_S
+    return not is_lost and (is_far or late >= REPORT_CYCLES * tracker.cycle_s)
+
+
+def kept_share(way: Array) -> float:
+    """Return which share of its way from the plan (6,) a tool keeps that may be free."""
+    return KEPT if abs(float(way[merge.ALONG])) > LARGEST_LAG else 1.0
+
+
+def stay_behind(tracker: Tracker, state: TrackerState, way: Array, axis: float) -> TrackerState:
+    """Return the state of a tool that goes on from where it is, and follows the object gently.
+
+    Args:
+        way: (6,) from its plan to where it is.
+        axis: the same of the linear axis [m].
+    """
+    shift = _left_behind(tracker, state, -float(way[merge.ALONG]))
+    plan = linear_axis.displaced(state.axis, axis)
+    return replace(state, poses=state.poses + way, axis=plan, shift=shift)
+
+
+def _left_behind(tracker: Tracker, state: TrackerState, way: float) -> target_shift.TargetShift:
+    """Return the target's shift of a tool that stayed behind its object by one more way [m]."""
+    delay = tracker.merge_free.first_free * tracker.cycle_s
+    return target_shift.left_behind(state.shift, way, delay)
+
+
+def _half_periods(tracker: Tracker) -> list[float]:
+    """Return half the periods of the free tool [s]."""
+    return [swing.half * tracker.cycle_s for swing in (tracker.vibration, *tracker.across)]
+
+
 def pause(
     tracker: Tracker, before: TrackerState, after: TrackerState, *, is_lost: bool
 ) -> tuple[TrackerState, bool]:
@@ -88,16 +144,18 @@ def pause(
     is_leaving = Gate.WHEEL_RELEASED in after.passed and after.releasing is not None
     if not is_leaving or after.withdrawn is not None:
         return after, False
-    shift = target_shift.left_behind(after.shift, after.speed * tracker.cycle_s)
+    shift = _left_behind(tracker, after, after.speed * tracker.cycle_s)
     if is_lost:
         _, off = tracker.table.ahead(before.time + release.STANDING_S, np.inf, 0)
         is_near = off[0, 2] > -HUB_DEPTH
-        if after.slowed < 0 or (is_near and abs(shift.begun) > LARGEST_LAG):
-            shift = replace(shift, begun=0.0, rate=0.0)
+        if after.slowed < 0:
+            return replace(after, shift=_left_behind(tracker, after, 0.0)), False
+        if is_near and abs(shift.begun) > LARGEST_LAG:
+            shift = replace(shift, begun=KEPT * shift.begun, rate=0.0)
             return replace(after, shift=shift, slowed=-1), False
         # Two halves of a start, half a period apart, cancel each other's swing.
-        half = np.mean([swing.half for swing in (tracker.vibration, *tracker.across)])
         is_slow = not is_near and after.stood > LONGEST_CATCH_UP_S
+        half = np.mean(_half_periods(tracker)) / tracker.cycle_s
         slowed = 2 * round(0.5 * half) if is_slow else 0
     else:
         slowed = max(after.slowed - 1, 0)

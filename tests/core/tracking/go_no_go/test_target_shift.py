@@ -74,3 +74,14 @@ def test_a_jump_of_the_speed_is_eased_for_a_tool_that_has_let_go(speed: float) -
     assert np.abs(np.diff(way, 2)).max() / T0**2 < 1.05 * ACCELERATION
     assert way[-1] == pytest.approx(place)
     assert not whole.rate
+
+
+def test_a_target_that_stayed_behind_goes_back_behind_what_is_committed() -> None:
+    """A merge made up in 0.1 s for what the way back had gone by then: 1.4 times its speed."""
+    shift = target_shift.left_behind(NO_SHIFT, 0.006, 7 * T0)
+    ways = remaining(shift, T0 * np.arange(80))
+    assert ways[:8] == pytest.approx(-0.006)
+    assert ways[8] > ways[7]
+    assert ways[-1] == pytest.approx(0.0)
+    later = target_shift.left_behind(shift, 0.001, 7 * T0)
+    assert remaining(later, NOW)[0] == pytest.approx(-0.007)
