@@ -1,6 +1,7 @@
 """The sign of the force on a clamped tool."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 
@@ -46,6 +47,30 @@ def test_an_object_that_moves_away_faster_than_the_target_is_suspect() -> None:
     assert not sign.is_suspect
     assert force_sign.advanced(sign, 30.0, 0.0003, LEAST_N).is_suspect
     assert not force_sign.advanced(sign, 29.0, 0.0003, LEAST_N).is_suspect
+
+
+def suspected_after(force_of: Callable[[float], float], right_dt: float | None) -> float:
+    """When a pull makes a sensor suspect while the target advances at 2 mm/s [s], 3 s at most."""
+    sign, t = TRUSTED, 0.0
+    while not sign.is_suspect and t < 3.0:
+        sign = force_sign.advanced(sign, force_of(t), 0.002 * t, LEAST_N, right_dt)
+        t += DT
+    return t
+
+
+def test_a_body_that_sways_away_makes_no_sensor_suspect_that_has_shown_the_weight() -> None:
+    """Its force was not used for 0.5 s, in which a stop of the line was followed late: 234 N."""
+
+    def sway(t: float) -> float:
+        return 60.0 * math.sin(math.tau * 0.5 * t)
+
+    assert suspected_after(sway, None) < 0.3
+    assert suspected_after(sway, DT) > 2.9
+
+
+def test_a_pull_that_does_not_fall_makes_suspect_what_has_shown_the_weight() -> None:
+    assert 0.5 < suspected_after(lambda _: 40.0, DT) < 0.7
+    assert 0.5 < suspected_after(lambda t: 40.0 + t, DT) < 0.7
 
 
 def test_a_pull_that_ended_is_judged_again() -> None:

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.tracking.observation import Wrench
-from linemate.daemon.core.tracking.touch import compliance, force_sign, release, touch_proof
+from linemate.daemon.core.tracking.touch import compliance, force_sign, release, tare, touch_proof
 from linemate.daemon.core.tracking.tracker_state import Tracker, TrackerState
 from linemate.protocol.stamped_samples import Vector3
 
@@ -80,14 +80,15 @@ def update_sign(tracker: Tracker, state: TrackerState, wrench: Wrench | None) ->
     if wrench is None or not is_seated(tracker, state) or state.history is None:
         return state
     before, force = state.force_sign, float(wrench.force[2])
-    least = tracker.settings.tactile.contact_force
-    if force < -least and before == force_sign.TRUSTED:
+    mount = tracker.settings.tactile
+    if force < -mount.contact_force and before == force_sign.TRUSTED:
         return state  # whatever the offset is, as in most of a contact
     axis = rotations.exp(state.history.poses[-1][3:])[:, 2]
     # The compliance begins where the tool touched: that is no advance of the target.
     begun = state.compliance.press is not None
     offset = float(axis @ state.compliance.offset) if begun else None
-    sign = force_sign.advanced(before, force, offset, least)
+    right_dt = tracker.cycle_s if tare.shows_weight(state.tare, mount) else None
+    sign = force_sign.advanced(before, force, offset, mount.contact_force, right_dt)
     if sign.is_suspect and state.releasing is None and state.touching > force_sign.SEATED_S:
         sign = force_sign.tested(sign, force, tracker.cycle_s)
     if sign == before:

@@ -8,7 +8,8 @@ Invariants:
 - A suspect force moves neither the estimate nor, but for its test, the target.
 - A contact that was felt by a pull is suspect from its beginning, unless the sensor has shown the
   weight of the free tool: then its sign is right, and the object pulls.
-- A pull that does not fall while the target advances is suspect.
+- A pull that does not fall while the target advances is suspect. If the sensor has shown the weight
+  of the free tool, a body may sway away first: its pull falls within half a period of the sway.
 - A push of a contact's force clears it.
 - A suspect force is tested: the target advances slowly, and a right force falls. Then it is
   cleared. If the force grows, or does not answer, the target goes back.
@@ -34,8 +35,10 @@ class ForceSign(Struct, frozen=True):
 
     Attributes:
         is_suspect: the force does not measure the object.
-        pull: force as the pull or its test began [N]; None while the object does not pull.
-        offset: along the tool's axis at that time [m].
+        pull: force as the pull or its test began [N]; None while the object does not pull. The
+            largest one if the sensor has shown the weight of the free tool.
+        offset: along the tool's axis as the pull or its test began [m].
+        advanced_s: time since the target has advanced in the pull [s].
         way: by which the target has advanced in a test of a suspect force [m].
         is_failed: the force did not answer: the target goes back.
         mean: force of a suspect contact [N].
@@ -46,6 +49,7 @@ class ForceSign(Struct, frozen=True):
     is_suspect: bool = False
     pull: float | None = None
     offset: float = 0.0
+    advanced_s: float = 0.0
     way: float = 0.0
     is_failed: bool = False
     mean: float = 0.0
@@ -67,13 +71,16 @@ def at_touch(force: float, least: float, *, shows_weight: bool = False) -> Force
     return ForceSign(is_suspect=force > least and not shows_weight)
 
 
-def advanced(sign: ForceSign, force: float, offset: float | None, least: float) -> ForceSign:
+def advanced(
+    sign: ForceSign, force: float, offset: float | None, least: float, right_dt: float | None = None
+) -> ForceSign:
     """Return the state one step later.
 
     Args:
         force: along the tool's axis, less than 0 if it pushes the tool back [N].
         offset: of the target by force, along the tool's axis [m]; None before it has begun.
         least: force of a contact [N].
+        right_dt: length of the step, of a sensor that has shown the weight of the free tool [s].
     """
     if force < -least:
         return TRUSTED
@@ -83,8 +90,12 @@ def advanced(sign: ForceSign, force: float, offset: float | None, least: float) 
         return TRUSTED
     if sign.pull is None:
         return ForceSign(pull=force, offset=offset)
-    grows = offset - sign.offset > ADVANCE_M and force >= sign.pull
-    return ForceSign(is_suspect=grows, pull=sign.pull, offset=sign.offset)
+    has_advanced, does_not_fall = offset - sign.offset > ADVANCE_M, force >= sign.pull
+    if right_dt is None:
+        return ForceSign(has_advanced and does_not_fall, sign.pull, sign.offset)
+    since = sign.advanced_s + right_dt if has_advanced else 0.0
+    pull = max(force, sign.pull)
+    return ForceSign(does_not_fall and since > MEAN_S, pull, sign.offset, since)
 
 
 def tested(sign: ForceSign, force: float, dt: float) -> ForceSign:
