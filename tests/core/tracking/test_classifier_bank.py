@@ -335,6 +335,24 @@ def test_an_accepted_impulse_keeps_all_onsets_and_what_denies_them(seed: int) ->
         assert kept.age == pytest.approx(bank.age)
 
 
+@pytest.mark.parametrize(("impulse_odds", "keeps"), [(2.0, False), (-2.0, True)])
+def test_a_lost_force_leaves_no_support_for_what_was_rather_an_impulse(
+    impulse_odds: float, keeps: bool
+) -> None:
+    """The impulse was forgotten with the force, and what it had shown became a stop: 350 N."""
+    truth, rng = Truth(1.2, ((0.4, -STOP),), seed=0), np.random.default_rng(0)
+    state = CONTACT.initial(float(truth.at(-1.5)))
+    for t in np.arange(-1.5 + T0, 0.49, T0):
+        state = CONTACT.advance(state, contact_rows(truth, lambda _: 0.0, float(t), rng), T0)
+    lost = structs.replace(state, contact=False, impulse_odds=impulse_odds)
+    before = onset_bank.posterior(state.changes, PRIOR).odds
+    later = bank_filter.predict(CONTACT, lost, T0)
+    assert len(later.impulses) == 0
+    after = onset_bank.posterior(later.changes, PRIOR).odds
+    assert (after > before - 1.0) is keeps
+    assert keeps or after < 4.0
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_in_contact_a_stop_is_confirmed_next_to_the_hypothesis_of_a_push(seed: int) -> None:
     truth = Truth(1.0, ((0.4, -STOP),), seed=seed)

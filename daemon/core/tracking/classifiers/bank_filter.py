@@ -113,6 +113,8 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
             impulses = onset_bank.propagate(impulses, onsets, F, dt, longest)
         elif len(impulses):
             impulses = onset_bank.empty(STATES)
+            if state.impulse_odds > 0.0:  # what the force has shown was rather an impulse
+                changes = onset_bank.without_support(changes, model.change_prior)
     state = replace(
         state,
         x=model.advanced(state, F, dt),
