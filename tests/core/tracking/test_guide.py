@@ -490,6 +490,26 @@ def stopped_by(
     return guide.advance(bank, before, after, [row], DT), felt
 
 
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_line_that_comes_to_rest_holds_no_object_where_it_swings(hangs: bool) -> None:
+    """Held 2 mm off, it swung back from there: 245 N."""
+    before, _ = in_contact(3.0, 0.0)
+    assert before.guide is not None
+    x = before.guide.x.copy()
+    x[V], x[GAIN] = 0.008, 1.0 if hangs else 0.0
+    omega = guide.HANGING_OMEGA if hangs else 0.0
+    led = structs.replace(before.guide, x=x, hangs=hangs, sway_omega=omega)
+    before = structs.replace(before, guide=led, motion=Motion.STOPPING)
+    null = before.x.copy()
+    null[V] = 0.0
+    after = structs.replace(before, x=null, motion=Motion.STANDING, events=())
+    felt = PositionMeasurement(Source.TACTILE, float(x[Y]) + 0.0018, 0.0, 3e-5**2, 20.0)
+    rest = guide.advance(BANK, before, after, [felt], DT).guide
+    assert rest is not None
+    assert float(rest.x[Y] + rest.x[SWAY]) == pytest.approx(float(x[Y]), abs=3e-4)
+    assert float(rest.x[V]) == 0.0
+
+
 def led_way(state: BankState, felt: float, seconds: float) -> float:
     """The way for which the target is led from where the object is [m]."""
     return float(BANK.predict_positions(state, np.array((seconds,)))[0]) - felt

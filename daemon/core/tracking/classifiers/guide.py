@@ -36,6 +36,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     IMPULSE,
     OFFSET,
     PACE,
+    RANDOM,
     RIPPLE,
     RIPPLE_FACTORS,
     STATES,
@@ -155,7 +156,7 @@ def before_touch(
         if not _gone_on(model, was, state, [shown]):
             return state
     # Whatever it hangs on, no force has braked it yet.
-    return replace(_hanging(model, was, state, [shown], 1.0), hangs=True)
+    return replace(_held(model, _hanging(was, state, 1.0), [shown]), hangs=True)
 
 
 def led_state(state: BankState) -> BankState:
@@ -377,7 +378,10 @@ def _going_on(
     gain = float(was.x[GAIN]) if hangs else 0.0
     if not hangs and _may_hang(model, state, sways=sways):
         gain, was = _gone_on(model, was, led, measurements, drift), _steady(was)
-    return (_hanging(model, was, led, measurements, gain), True) if gain else (led, False)
+    if not gain:
+        return led, False
+    hung = _hanging(was, led, gain)
+    return (hung if _comes_to_rest(state) else _held(model, hung, measurements)), True
 
 
 def _may_hang(model: BankModel, state: BankState, *, sways: bool) -> bool:
@@ -426,13 +430,7 @@ def _steady(led: BankState) -> BankState:
     return replace(led, x=x, sway_omega=HANGING_OMEGA)
 
 
-def _hanging(
-    model: BankModel,
-    was: BankState,
-    led: BankState,
-    measurements: Sequence[PositionMeasurement],
-    gain: float,
-) -> BankState:
+def _hanging(was: BankState, led: BankState, gain: float) -> BankState:
     """Return the guide of an object that goes on as its conveyor turns out to be slower, or faster.
 
     What the guide changes of the conveyor is none of the object: it is its sway, by the gain.
@@ -456,7 +454,12 @@ def _hanging(
     T[_SWAY, _SWAY] = 0.0
     P = T.dot(led.P).dot(T.T)
     P[SWAY_QUADRATURE, SWAY_QUADRATURE] += (UNSURE * gain * slower / omega) ** 2
-    return _held(model, replace(led, x=x, P=P, sway_omega=omega), measurements)
+    return replace(led, x=x, P=P, sway_omega=omega)
+
+
+def _comes_to_rest(state: BankState) -> bool:
+    """Return whether a stop that was known has ended."""
+    return state.motion is Motion.STANDING and not has_changed_class(state.events)
 
 
 def _in_class(
@@ -473,9 +476,16 @@ def _in_class(
     holds the object. Where a stop or a start ends it takes the speed. One that it did not foresee
     it takes over whole too: its own position lags by then, and would be read as a speed.
 
+    A conveyor that comes to rest moves no object. Its guide held one that swung where it was just
+    then, and the object swung back from there: 232 N.
+
     Args:
         sways: a sway leads the target.
     """
+    if _comes_to_rest(state):
+        x = led.x.copy()
+        x[V] = state.x[RANDOM]  # what is left of the speed dies out
+        return bank_filter.enter_standing(model, replace(led, x=x))
     surprise = float(state.x[V]) - float(led.x[V])
     is_new = state.is_faster or has_changed_class(state.events)
     if is_new or abs(surprise) > LARGEST_SURPRISE:
@@ -483,8 +493,6 @@ def _in_class(
         if not sways:
             guide = _swayed(guide, float(led.x[SWAY]))
         return _held(model, replace(led, x=guide.x, P=guide.P), measurements)
-    if state.motion is Motion.STANDING:
-        return bank_filter.enter_standing(model, led)
     x, P = led.x.copy(), led.P.copy()
     x[V], x[ACCELERATION] = state.x[V], 0.0
     P[ACCELERATION, :] = P[:, ACCELERATION] = 0.0
