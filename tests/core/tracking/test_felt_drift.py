@@ -67,6 +67,13 @@ def test_what_is_taken_up_is_not_taken_up_again() -> None:
     assert not felt_drift.share_taken(left)
 
 
+def test_a_swing_is_known_by_how_far_it_was_on_the_side_before() -> None:
+    swing = [0.0015 * math.sin(math.tau * 3.0 * k * DT) + 0.0005 for k in range(60)]
+    assert after(swing[:10]).reach == math.inf
+    turned = next(k for k in range(20, 60) if after(swing[: k + 1]).side < 0)
+    assert after(swing[: turned + 1]).reach == pytest.approx(0.002, abs=1e-4)
+
+
 def test_a_new_class_keeps_the_side_alone() -> None:
     felt = after(stop(0.19))
     assert felt_drift.moved(felt) == FeltDrift(side=-1, kept_s=felt.kept_s)

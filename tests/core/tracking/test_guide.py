@@ -378,6 +378,13 @@ def test_a_quick_swing_pulls_no_guide_that_would_follow_it_late() -> None:
     assert moved_by(0.004, structs.replace(swung, half_s=0.5)) > 0.004 - FELT
 
 
+def test_what_is_beyond_the_reach_of_a_quick_swing_pulls_the_guide() -> None:
+    """A line that stopped under a body that swings was followed at last with 435 N."""
+    swung = FeltDrift(side=1, kept_s=0.1, half_s=0.18, reach=0.003)
+    assert moved_by(0.006, swung) == pytest.approx(0.003, abs=5e-4)
+    assert abs(moved_by(0.0028, swung)) < 0.0005
+
+
 def led_back(swing: float, grown: float, impulse: float = 0.0) -> float:
     """How much slower a guide becomes without a declared stop [m/s].
 

@@ -37,6 +37,7 @@ class FeltDrift(Struct, frozen=True):
         side: of the last one beyond ``SWING_M``: 1 or -1, 0 before the first one.
         kept_s: since it changed its side [s].
         half_s: for which it was on the side before [s].
+        peak: farthest on its side, and ``reach`` on the side before [m].
         drawn: by which it has drawn the guide after it, forgotten within ``SWUNG_S`` [m].
     """
 
@@ -47,6 +48,8 @@ class FeltDrift(Struct, frozen=True):
     side: int = 0
     kept_s: float = math.inf
     half_s: float = math.inf
+    peak: float = 0.0
+    reach: float = math.inf
     drawn: float = 0.0
 
     @property
@@ -71,12 +74,13 @@ def observed(before: FeltDrift, off: float, dt: float) -> FeltDrift:
     speed = before.speed + gain * ((off - before.off) / dt - before.speed)
     grows = speed * before.speed > 0.0 and speed * off > 0.0
     side, kept_s, half_s = before.side, before.kept_s + dt, before.half_s
+    peak, reach = max(before.peak, side * off), before.reach
     if abs(off) > SWING_M and side * off <= 0.0:
-        kept_s, half_s = (0.0, kept_s) if side else (kept_s, half_s)
-        side = 1 if off > 0.0 else -1
+        kept_s, half_s, reach = (0.0, kept_s, peak) if side else (kept_s, half_s, reach)
+        side, peak = 1 if off > 0.0 else -1, abs(off)
     mean = before.mean + (1.0 - math.exp(-dt / MEAN_S)) * (off - before.mean)
     grows_s, drawn = before.grows_s + dt if grows else 0.0, before.drawn * math.exp(-dt / SWUNG_S)
-    return FeltDrift(off, mean, speed, grows_s, side, kept_s, half_s, drawn)
+    return FeltDrift(off, mean, speed, grows_s, side, kept_s, half_s, peak, reach, drawn)
 
 
 def share_taken(felt: FeltDrift) -> float:

@@ -238,11 +238,13 @@ def _corrected(
     x = led.x + nu * K
     if measurement.source is Source.TACTILE:
         pull, limit = min(max(nu, -LARGEST_PULL), LARGEST_PULL), FARTHEST_FELT_N / model.stiffness
+        if felt.is_quick:  # a swing reaches no farther than it did to the side before
+            limit = max(limit, felt.reach)
         x = led.x + pull * K
         ahead = nu + felt_drift.drift_ahead(felt)
         far, lost = (each - min(max(each, -limit), limit) for each in (nu, ahead))
         taken = _brake(x, far, lost, led.sway_omega) if hangs and led.sway_omega else 0.0
-        way = 0.0 if felt.is_quick else far - taken
+        way = far - taken
         x[Y] += way
         x[OFFSET] -= way
     low, high = RIPPLE_FACTORS
