@@ -47,6 +47,9 @@ FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
 # The sensor's health goes by the mean speed over 0.3 s, which is 0.05 m/s as a conveyor that brakes
 # by 0.1 m/s^2 is down to:
 SLOW_RAMP = 0.04  # [m/s], to the resolution
+STEP_OF_SIGMA = math.sqrt(12.0)  # of the resolution, in which a sound sensor repeats itself
+# The same for a step u and a normal noise of sigma s: u + 3 sqrt(2) s is at most this of both.
+CERTAIN_OF_SIGMA = math.sqrt(12.0 + 2.0 * 3.0**2)
 AROUND = 3  # readings before and after a step whose medians are compared
 STEP_SIGMAS = 3.0  # by which the speed of readings that run on may differ
 STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a conveyor may explain it
@@ -265,8 +268,6 @@ def correct(
     sums = np.concatenate([bank.sums for bank in banks], axis=1)
     A, B = sums[0], sums[1]
     for measurement in measurements:
-        if _repeats_on_ramp(model, state, measurement):
-            continue
         off, S = _innovation(model, state, measurement, J, (_FIRST, middle, both))
         Ph, nu, minus_rho = off[:STATES], -float(off[STATES]), off[_FIRST:]
         gate = measurement.gate * math.sqrt(S)
@@ -343,19 +344,45 @@ def _innovation(
     return off, S
 
 
-def _repeats_on_ramp(model: BankModel, state: BankState, measurement: PositionMeasurement) -> bool:
-    """Return whether the distance sensor repeats itself as a slow conveyor goes on braking.
+def repeats_itself(
+    model: BankModel,
+    state: BankState,
+    measurement: PositionMeasurement,
+    dt: float,
+    sigmas: float = STEP_OF_SIGMA,
+) -> bool:
+    """Return whether the distance sensor repeats itself while no conveyor can have stopped.
 
-    Its health excludes no sensor there: the conveyor may stop at once within few steps of the
-    resolution. A stop that is known brakes on as it did.
+    None brakes by more than ``LARGEST_RAMP``. The sensor's health needs 0.15 s for it, and the bank
+    confirmed a stop after 0.02 s. Below ``SLOW_RAMP`` a conveyor may stop at once within few steps
+    of the resolution; a stop that is known brakes on as it did.
+
+    Args:
+        state: one step before.
+        sigmas: of a reading, that the conveyor must have moved since.
     """
-    if state.motion is not Motion.STOPPING or measurement.source is not Source.DISTANCE:
+    ages, values = state.readings
+    if measurement.source is not Source.DISTANCE or not len(values):
         return False
-    since = _since_change(state, measurement)
-    speed, slowed = float(state.x[V]), -since * float(state.x[ACCELERATION])
-    way = since * (speed + 0.5 * slowed)
-    # A sound sensor repeats itself for a step of its resolution, which is sqrt(12) of its noise.
-    return speed + slowed < SLOW_RAMP and way > math.sqrt(12.0) * model.distance_deviation
+    first = first_of_last(state.readings)
+    if values[-1] != measurement.value or not first:
+        return False
+    since, speed = float(ages[first - 1]), float(state.x[V])
+    least = sigmas * model.distance_deviation
+    # It may have begun to brake at the reading before.
+    slower = max(speed - LARGEST_RAMP * (since - float(ages[first])), 0.0)
+    braked = min(float(ages[first]) + dt - measurement.delay, slower / LARGEST_RAMP)
+    if since < FROZEN_S and braked * (slower - 0.5 * LARGEST_RAMP * braked) > least:
+        return True
+    slowed = -since * float(state.x[ACCELERATION])
+    is_slow = state.motion is Motion.STOPPING and speed + slowed < SLOW_RAMP
+    return is_slow and since * (speed + 0.5 * slowed) > least
+
+
+def first_of_last(readings: Array) -> int:
+    """Return the index of the first of the last readings (2, m) that are all alike; m > 0."""
+    values = readings[1]
+    return int(np.flatnonzero(values != values[-1]).max(initial=-1)) + 1
 
 
 def _since_change(state: BankState, measurement: PositionMeasurement) -> float:
@@ -375,8 +402,7 @@ def _is_frozen(model: BankModel, state: BankState, measurement: PositionMeasurem
     if measurement.source is not Source.DISTANCE:
         return False
     since = _since_change(state, measurement)
-    # A sound sensor repeats itself for a step of its resolution, which is sqrt(12) of its noise.
-    way = max(FROZEN_WAY, math.sqrt(12.0) * model.distance_deviation)
+    way = max(FROZEN_WAY, STEP_OF_SIGMA * model.distance_deviation)
     return abs(speed) * since > way and since < FROZEN_S
 
 

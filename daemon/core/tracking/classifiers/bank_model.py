@@ -147,6 +147,7 @@ class BankState(Struct, frozen=True, eq=False):
         distance_odds: log odds of a change by the distance sensor alone, None if it has no say or
             was not asked.
         readings: (2, m) of the distance sensor, ages [s] and positions [m].
+        is_repeating: the distance sensor certainly repeated itself as it was last read.
         tentative: a change has been perceived.
         tentative_s: how long it has been tentative [s].
         is_expired: it was cancelled for its duration, and its odds have not been calm since.
@@ -186,6 +187,7 @@ class BankState(Struct, frozen=True, eq=False):
     impulse_odds: float = -30.0
     distance_odds: float | None = None
     readings: Array = NO_READINGS
+    is_repeating: bool = False
     tentative: bool = False
     tentative_s: float = 0.0
     is_expired: bool = False
