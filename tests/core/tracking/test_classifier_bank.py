@@ -677,6 +677,26 @@ def test_a_frozen_sensor_that_shows_a_standing_object_again_is_no_start(
         assert ("start", "confirmed") not in state.events
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_late_readings_that_end_before_the_touch_are_no_stop(seed: int) -> None:
+    """The distance sensor alone showed a stop that had begun before they ended: 268 N."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    rng, state = np.random.default_rng(seed), bank.initial(0.0)
+    for t in np.arange(T0, 2.5, T0):
+        at, rows = NOMINAL * t, []
+        if t < 2.0:
+            read = 1e-3 * round(1e3 * (at + rng.normal(0.0, 2.5e-4)))
+        elif t < 2.11:
+            read = at - 0.0032 - 0.023 * (t - 2.05)
+        if not 2.0 < t < 2.05 and t < 2.2:
+            rows.append(PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0))
+        if t > 2.27:
+            held = at + rng.normal(0.0, 4e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 4e-5**2, 20.0))
+        state = bank.advance(state, rows, T0)
+        assert state.motion is Motion.RUNNING
+
+
 def pushed_on(support: float, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """Events of a stop during which the body is pushed along as if the conveyor went on."""
     monkeypatch.setitem(classifier_bank.SUPPORT, "start", support)

@@ -448,6 +448,9 @@ class BankClassifier(BankModel):
         is_due = int(state.age / ASKING_S) != int((state.age - dt) / ASKING_S)
         if state.guide is None or state.is_firm or not is_due or state.motion in RAMPS:
             return None
+        # Late readings that end look like the begin of a stop: 268 N.
+        if state.is_repeating or not distance_check.has_say(state.readings):
+            return None
         stands = state.motion is Motion.STANDING
         speed, deviation, limit = float(state.guide.x[V]), LED_DEVIATION, SURE_STOP
         priors = self.shown_priors[state.motion]
