@@ -697,6 +697,25 @@ def test_late_readings_that_end_before_the_touch_are_no_stop(seed: int) -> None:
         assert state.motion is Motion.RUNNING
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("late_s", [0.025, 0.03, 0.035])
+def test_a_sensor_that_becomes_late_in_contact_is_no_stop(late_s: float, seed: int) -> None:
+    """The distance sensor alone showed one, while the force showed none: 226 N."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    rng, state = np.random.default_rng(seed), bank.initial(0.0)
+    for t in np.arange(T0, 2.6, T0):
+        at, rows = NOMINAL * t, []
+        if not 2.2 < t < 2.2 + late_s + T0:  # it shows nothing as it becomes late
+            delayed = at - NOMINAL * late_s * (t > 2.2)
+            read = 1e-3 * round(1e3 * (delayed + rng.normal(0.0, 2.5e-4)))
+            rows.append(PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0))
+        if t > 2.1:
+            held = at + rng.normal(0.0, 4e-5)
+            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 4e-5**2, 20.0))
+        state = bank.advance(state, rows, T0)
+        assert state.motion is Motion.RUNNING
+
+
 def pushed_on(support: float, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """Events of a stop during which the body is pushed along as if the conveyor went on."""
     monkeypatch.setitem(classifier_bank.SUPPORT, "start", support)

@@ -477,10 +477,11 @@ class BankClassifier(BankModel):
         )
         if change is None:
             return None
-        step = self._step(state, readings) if stands else None
+        step = self._step(state, readings)
         if step is not None:
-            # A frozen sensor that shows the object again steps: no start goes so far at once.
-            return self._accept_step(state, step) if step.is_certain else None
+            # A frozen sensor that shows the object again steps: no start goes so far at once. Nor
+            # is one that becomes late a stop: the force showed none, and it was confirmed, 227 N.
+            return self._accept_step(state, step) if stands and step.is_certain else None
         if stands and state.class_age < distance_check.SPAN_S:
             nominal = self.changes[state.motion]
             change = distance_change.begun_before(
