@@ -4,6 +4,7 @@ Rows X7 and X8 of the catalogue. The limits of the robot are judged by the oracl
 """
 
 import re
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -19,6 +20,8 @@ from linemate.simulators.plants.scenario import Fault
 from linemate.simulators.plants.world import World
 
 pytestmark = pytest.mark.row
+
+Within = Callable[[str, float, float], None]
 
 LED = frozenset({State.TRACK, State.CONTACT})
 MOST_AHEAD = 2
@@ -115,17 +118,19 @@ LAGGING = pytest.mark.xfail(reason="276 N: a slow target lags after silences in 
 
 @pytest.mark.parametrize("cycle_ms", [12, pytest.param(4, marks=LAGGING)])
 def test_x8_next_to_a_running_line_the_target_is_regained_without_tearing_at_the_mount(
-    cycle_ms: CycleMs,
+    cycle_ms: CycleMs, within: Within
 ) -> None:
     """84 ms: a robot that is back at its target at once, which none can be, has 202 N."""
     found = peaks("no-stop", cycle_ms, {7.0: 0.024, 8.0: 0.048, 9.0: 0.06, 10.0: 0.084})
-    assert max(found[7.0], found[8.0], found[9.0]) < FORCE_N
-    assert found[10.0] < 270.0
+    within("24 to 60 ms: force, N", max(found[7.0], found[8.0], found[9.0]), FORCE_N)
+    within("84 ms: force, N", found[10.0], 270.0)
 
 
-def test_x8_next_to_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on() -> None:
+def test_x8_next_to_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_goes_on(
+    within: Within,
+) -> None:
     found = peaks("wheel", 12, {7.5: 0.084, 8.3: 0.14, 9.5: 0.14, 11.0: 0.14})
-    assert max(found.values()) < FORCE_N
+    within("force, N", max(found.values()), FORCE_N)
 
 
 @pytest.mark.parametrize(
@@ -147,28 +152,32 @@ def test_x8_next_to_a_line_that_stands_or_starts_140_ms_are_borne_and_the_task_g
     ],
 )
 def test_x8_an_opened_tool_that_leaves_does_not_catch_up_and_swing(
-    cycle_ms: CycleMs, at_s: float, lasting_s: float
+    cycle_ms: CycleMs, at_s: float, lasting_s: float, within: Within
 ) -> None:
     """A catch-up half a period after the stop shook the free tool with 301 to 561 N."""
     found = peaks("wheel", cycle_ms, {at_s: lasting_s}, State.RETREAT)
-    assert found[at_s] < FORCE_N
+    within(f"{lasting_s * 1e3:.0f} ms: force, N", found[at_s], FORCE_N)
 
 
 @pytest.mark.parametrize("at_s", [14.75, 14.9])
-def test_x8_140_ms_as_the_opened_tool_begins_to_leave_drag_it_along_no_hub(at_s: float) -> None:
+def test_x8_140_ms_as_the_opened_tool_begins_to_leave_drag_it_along_no_hub(
+    at_s: float, within: Within
+) -> None:
     """The stop alone brings it 11 mm behind the hub; from 12 on it is dragged.
 
     One whose clamp opened in silence was dragged by 12.9 mm, with 444 N.
     """
     found = peaks("wheel", 12, {at_s: 0.14}, State.RETREAT)
-    assert found[at_s] < 1.7 * FORCE_N
+    within("force, N", found[at_s], 1.7 * FORCE_N)
 
 
 _A1 = re.compile(rb'(?<=<AIPos A1=")[-.0-9]+')
 
 
 @pytest.mark.parametrize("cycles", [1, 7])
-def test_telegrams_whose_a1_is_33_degrees_off_in_contact_are_not_followed(cycles: int) -> None:
+def test_x17_telegrams_whose_a1_is_33_degrees_off_in_contact_are_not_followed(
+    cycles: int, within: Within
+) -> None:
     """Followed, one of them pulled at the mount with 859 N, and seven with 740 N."""
     run = Lockstep(setup.make("wheel", cycle_ms=12), 0)
     way, carry, begin_s = run._ways[0], run._ways[0].carry, 8.0
@@ -185,7 +194,7 @@ def test_telegrams_whose_a1_is_33_degrees_off_in_contact_are_not_followed(cycles
     assert run.world.collision is None
     assert run.cycle.machine.state is State.CONTACT
     assert run.cycle.refused == cycles
-    assert most_n < FORCE_N
+    within("force, N", most_n, FORCE_N)
 
 
 STANDS = ConveyorEvent("stop", -0.1, 0.104)
