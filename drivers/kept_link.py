@@ -17,7 +17,6 @@ class KeptLink(ABC):
 
     Attributes:
         status: the link's visible state.
-        counters: events by name.
     """
 
     def __init__(self, name: str, backoff: Backoff | None = None) -> None:

@@ -24,7 +24,7 @@ def rows(report: str) -> list[dict[str, Any]]:
     Args:
         report: JUnit XML that pytest wrote for ``FILES``.
     """
-    found: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
+    figures: dict[tuple[str, str, str], list[tuple[float, float]]] = {}
     # The report is that of our own pytest.
     for case in ET.fromstring(report).iter("testcase"):  # noqa: S314
         named = _NAME.match(case.attrib["name"])
@@ -34,12 +34,12 @@ def rows(report: str) -> list[dict[str, Any]]:
             row = named[1].upper().rstrip("_").replace("_", ", ")
             key = row, named[2].replace("_", " "), each.attrib["name"]
             measured, most = map(float, each.attrib["value"].split())
-            found.setdefault(key, []).append((measured, most))
+            figures.setdefault(key, []).append((measured, most))
     keys = "row", "test", "what", "measured", "most"
     return [
         dict(zip(keys, (*key, *max(values, key=lambda pair: pair[0] - pair[1])), strict=True))
         | {"count": len(values)}
-        for key, values in found.items()
+        for key, values in figures.items()
     ]
 
 

@@ -60,11 +60,11 @@ def catalogue(load: Load) -> str:
 
 def floods(load: Load) -> str:
     """Return a row for each flooded port: what the robot missed, and what else came through."""
-    lines = ["| port | datagrams | telegrams | missed | good poses taken | a status took, ms |"]
+    lines = ["| port | datagrams | telegrams | missed | good poses taken | a status after, ms |"]
     lines += ["|---" * 6 + "|"]
     for row in load("floods")["rows"]:
         poses = f"{row['samples']} of {row['poses']}"
-        took = "-" if row["answered_s"] is None else number(1e3 * row["answered_s"])
-        cells = (row["port"], row["sent"], row["cycles"], row["missed"], poses, took)
+        status_ms = "-" if row["answered_s"] is None else number(1e3 * row["answered_s"])
+        cells = (row["port"], row["sent"], row["cycles"], row["missed"], poses, status_ms)
         lines.append(f"| {' | '.join(map(str, cells))} |")
     return "\n".join(lines)

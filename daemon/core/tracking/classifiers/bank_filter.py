@@ -358,7 +358,7 @@ def repeats_itself(
     of the resolution; a stop that is known brakes on as it did.
 
     Args:
-        state: one step before.
+        state: of the bank, one step before this reading is taken.
         sigmas: of a reading, that the conveyor must have moved since.
     """
     ages, values = state.readings
