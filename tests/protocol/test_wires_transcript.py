@@ -43,7 +43,7 @@ def answered(call: Callable[..., object], *args: object) -> object:
         ("robot", "e6d3652258ed2717"),
         ("reply", "d923188e7a682cee"),
         ("config", "ab5ff65aacdd4e4a"),
-        ("camera", "dfcffcbd6c701c36"),
+        ("camera", "d6763bafb82a0a8a"),
         ("distance", "fab9c4e2b742ba24"),
         ("bota", "1317e755f72b8679"),
         ("ft300", "ae3adee0f89de4a3"),
@@ -153,7 +153,7 @@ def _poses(chance: Chance) -> Iterator[tuple[CameraMessage, int]]:
 
 
 @pytest.mark.parametrize(
-    ("part", "digest"), [(0, "eb24dd36dae4479e"), (1, "16d77dda94b79530"), (2, "7b7923dc302e5e2a")]
+    ("part", "digest"), [(0, "f007132eadd06236"), (1, "16d77dda94b79530"), (2, "7b7923dc302e5e2a")]
 )
 def test_cameras_are_followed_as_they_always_were(part: int, digest: str) -> None:
     transcript = Transcript()
