@@ -140,10 +140,13 @@ def test_telegrams_that_wait_are_taken_before_any_is_called_missing() -> None:
     run(main())
 
 
-def test_a_wake_before_the_telegram_reads_none_unless_the_one_before_is_missing() -> None:
+def test_a_wake_before_the_telegram_reads_none_unless_the_one_before_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     looks: list[int] = []
     waits: list[int] = []
     now_ns = time.monotonic_ns()
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns)
     lock = PhaseLock(50 * T, now_ns, 20 * T)
     lock.follow(now_ns - 50 * T + ATTEND_NS // 2)
     timer = CycleTimer(
@@ -152,12 +155,11 @@ def test_a_wake_before_the_telegram_reads_none_unless_the_one_before_is_missing(
     timer._timer = TimerFd()
     timer._wake()
     assert (len(looks), len(waits)) == (0, 1)
-    lock.follow(time.monotonic_ns() - 50 * T + ATTEND_NS)
-    lock.take_due(time.monotonic_ns())
+    lock.follow(now_ns - 50 * T + ATTEND_NS)
+    lock.take_due(now_ns)
     timer.arm()
     timer._wake()
     assert (len(looks), len(waits)) == (0, 2)
-    now_ns = time.monotonic_ns()
     lock.follow(now_ns - 85 * T, restarts=True)
     assert [due.kind for due in lock.take_due(now_ns - 8 * T)] == [DueKind.MISSING]
     timer.arm()
