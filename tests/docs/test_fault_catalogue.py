@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from docs.make import catalogue
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs/fault-catalogue.md"
 ROWS = (
@@ -36,3 +38,19 @@ def is_there(path: str, test: str) -> bool:
     """Whether a test file defines a test."""
     file = ROOT / "tests" / path
     return file.exists() and f"def {test}(" in file.read_text(encoding="utf-8")
+
+
+REPORT = """<testsuite>
+<testcase name="test_s5_s8_damage_is_refused[flip]"><properties>
+<property name="added, mm" value="0.9 2"/><property name="added, mm" value="0.2 1"/></properties></testcase>
+<testcase name="test_s5_s8_damage_is_refused[nan]"><properties>
+<property name="added, mm" value="0.1 1"/></properties></testcase>
+<testcase name="test_without_a_row"/>
+</testsuite>"""
+
+
+def test_of_the_figures_of_a_test_the_one_nearest_to_its_bound_is_shown() -> None:
+    assert catalogue.rows(REPORT) == [
+        {"row": "S5, S8", "test": "damage is refused", "what": "added, mm", "measured": 0.2,
+         "most": 1.0, "count": 3}
+    ]  # fmt: skip
