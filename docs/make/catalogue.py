@@ -37,7 +37,7 @@ def rows(report: str) -> list[dict[str, Any]]:
             figures.setdefault(key, []).append((measured, most))
     keys = "row", "test", "what", "measured", "most"
     return [
-        dict(zip(keys, (*key, *max(values, key=lambda pair: pair[0] - pair[1])), strict=True))
+        dict(zip(keys, (*key, *max(values, key=lambda pair: pair[0] / pair[1])), strict=True))
         | {"count": len(values)}
         for key, values in figures.items()
     ]
