@@ -20,11 +20,14 @@ DRIVEN_INFLATION = 6.0
 
 
 def felt_row(
-    tracker: Tracker, state: TrackerState, row: PositionMeasurement
+    tracker: Tracker, state: TrackerState, row: PositionMeasurement, more: float
 ) -> PositionMeasurement:
-    """Return a deflection along the conveyor with what is known of the object in contact."""
+    """Return a deflection along the conveyor with what is known of the object in contact.
+
+    Args:
+        more: variance that an oscillation adds [m^2].
+    """
     complied = state.compliance
-    more = compliance.uncertainty_along(complied, tracker.compliance)
     return replace(
         row,
         variance=_inflation(state) * row.variance + more,

@@ -157,7 +157,7 @@ def _see(
         if source is Source.CAMERA:
             pose_ns = stamp_ns - round(measured.delay * 1e9)
         row = along_measurement(tracker, transverse, source, measured, gate)
-        rows.append(row if source is Source.CAMERA else felt_row(tracker, state, row))
+        rows.append(row if source is Source.CAMERA else felt_row(tracker, state, row, oscillation))
     return transverse, waiting, rejected, pose_ns
 
 

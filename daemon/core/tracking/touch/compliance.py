@@ -102,7 +102,6 @@ class Compliance(Struct, frozen=True):
         mean: quicker mean of it [N].
         power: mean square of the force's deviation from the latter [N^2].
         past: that mean square at steps of ``GRAIN_S``, newest last.
-        along, past_along: the part of both along the conveyor [N^2].
         age: since the newest of them [s].
         moves: of the offset that the tool has not made yet, oldest first [m].
         energy: that the offset has given [J].
@@ -121,8 +120,6 @@ class Compliance(Struct, frozen=True):
     mean: Vector3 = (0.0, 0.0, 0.0)
     power: float = 0.0
     past: tuple[float, ...] = ()
-    along: float = 0.0
-    past_along: tuple[float, ...] = ()
     age: float = 0.0
     moves: tuple[Vector3, ...] = ()
     energy: float = 0.0
@@ -218,10 +215,9 @@ def _swinging(
         quick_s: half a period of an oscillation which the offset's delay can drive [s].
     """
     power = before.power + dt / MEMORY_S * (_dot(swung, swung) - before.power)
-    along = before.along + dt / MEMORY_S * (swung[ALONG] * swung[ALONG] - before.along)
-    past, past_along, age = before.past, before.past_along, before.age + dt
+    past, age = before.past, before.age + dt
     if age >= GRAIN_S:
-        past, past_along, age = (*past, power)[-PAST:], (*past_along, along)[-PAST:], 0.0
+        past, age = (*past, power)[-PAST:], 0.0
     firm = before.firmness
     soft = (before.soft or firm.has_swung) and is_growing(power, past, was=before.soft)
     firm = firmness.advance(
@@ -237,8 +233,6 @@ def _swinging(
         state,
         power=power,
         past=past,
-        along=along,
-        past_along=past_along,
         age=age,
         soft=soft,
         # One that grows on nonetheless was damped by being followed: it is followed again.
@@ -347,22 +341,10 @@ def uncertainty(state: Compliance, model: ComplianceModel) -> float:
     tenths of a second, so that a stop is detected before it counts itself. None as long as the
     force has not swung to and fro: a stop that is followed late bends the mount to one side.
     """
-    return _added(state, model, state.past)
-
-
-def uncertainty_along(state: Compliance, model: ComplianceModel) -> float:
-    """Return the same of a deflection along the conveyor [m^2].
-
-    An object that swings up and down is where its conveyor is.
-    """
-    return _added(state, model, state.past_along)
-
-
-def _added(state: Compliance, model: ComplianceModel, past: tuple[float, ...]) -> float:
-    """Return the variance that an oscillation of a past mean square [N^2] adds [m^2]."""
-    if len(past) < 3 or not state.firmness.has_swung:
+    if len(state.past) < 3 or not state.firmness.has_swung:
         return 0.0
-    return max(max(past[:-2]) - QUIET_N**2, 0.0) / model.stiffness**2
+    power = max(state.past[:-2])
+    return max(power - QUIET_N**2, 0.0) / model.stiffness**2
 
 
 def ringing(state: Compliance, model: ComplianceModel) -> float:
