@@ -21,7 +21,8 @@ def page() -> str:
 
 
 def test_every_row_of_the_catalogue_is_answered_by_a_test_or_argued() -> None:
-    lines = {m[1]: m[0] for m in re.finditer(r"^\| ([SRPMX]\d+) \|.*$", page(), re.MULTILINE)}
+    rows = page().partition("## Figures of the rows")[0]
+    lines = {m[1]: m[0] for m in re.finditer(r"^\| ([SRPMX]\d+) \|.*$", rows, re.MULTILINE)}
     assert tuple(lines) == ROWS
     for name, line in lines.items():
         assert "::test_" in line or "**argued**" in line, name
