@@ -3,7 +3,6 @@
 An error-state filter with the rows of (8) for all components but y.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -71,18 +70,6 @@ class Transverse(CameraErrorModel):
         if self._has_lasting:
             np.fill_diagonal(P[self._lasting : self._first_factor, self._lasting :], 1.0)
         return TransverseState(x, P, rotation, frequency_factors=(1.0,) * len(self.swing))
-
-    def agreed(self, measurements: list[PoseMeasurement]) -> TransverseState:
-        """Return ``initial``, as certain as one of the measurements is.
-
-        With its first covariance the next image was accepted up to 0.1 m off: one outlier of 25 mm
-        had every later image rejected for 0.3 s and more.
-        """
-        state, newest = self.initial(measurements), measurements[-1]
-        x, z = state.x[[X, Z]].tolist()
-        position = np.array((x, newest.position[1], z))
-        agreed = replace(newest, position=position, rotation=state.rotation)
-        return self.correct(state, agreed, math.inf)[0]
 
     def predict(
         self,

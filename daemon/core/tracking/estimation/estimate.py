@@ -140,7 +140,7 @@ def _see(
         if transverse is None:
             waiting = (*waiting, measured)[-tracker.settings.fusion.initial_images :]
             if len(waiting) == tracker.settings.fusion.initial_images:
-                transverse = tracker.transverse.agreed(list(waiting))
+                transverse = tracker.transverse.initial(list(waiting))
         else:
             is_camera = source is Source.CAMERA
             across = measured if is_camera else felt_pose(tracker, state, measured, oscillation)
