@@ -359,13 +359,14 @@ def repeats_itself(
 
     Args:
         state: of the bank, one step before this reading is taken.
-        sigmas: of a reading, that the conveyor must have moved since.
+        sigmas: way that the conveyor must have made since, in deviations of a reading.
     """
     ages, values = state.readings
-    if measurement.source is not Source.DISTANCE or not len(values):
+    is_read = measurement.source is Source.DISTANCE and len(values) > 0
+    if not is_read or values[-1] != measurement.value:
         return False
     first = first_of_last(state.readings)
-    if values[-1] != measurement.value or not first:
+    if not first:
         return False
     since, speed = float(ages[first - 1]), float(state.x[V])
     least = sigmas * model.distance_deviation
