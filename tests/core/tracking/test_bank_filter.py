@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from conveyor_bank import BANK, CAMERA_DELAY, NEVER
-from conveyor_truth import DEVIATION, NOMINAL, STOP, T0, Truth
+from conveyor_truth import DEVIATION, NOMINAL, T0, Truth
 from msgspec import structs
 
 from linemate.daemon.core.tracking.classifiers import bank_filter, bank_prediction
@@ -188,52 +188,6 @@ def test_a_frozen_distance_sensor_is_not_predicted_as_a_stop(seed: int) -> None:
             speeds.append((later - now) / float(ahead[0]))
     assert speeds
     assert min(speeds) > 0.95 * NOMINAL
-
-
-def frozen_at_full_speed(seed: int, cycle_s: float, frozen_s: float = 0.15) -> list[BankState]:
-    """Return the states of a sensor in steps of 1 mm since it froze."""
-    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
-    rng, state, read, states = np.random.default_rng(seed), bank.initial(0.0), 0.0, []
-    for t in np.arange(cycle_s, 2.0 + frozen_s, cycle_s):
-        if t < 2.0:
-            read = 1e-3 * round(1e3 * (NOMINAL * t + rng.normal(0.0, 2.5e-4)))
-        row = PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0)
-        state = bank.advance(state, [row], cycle_s)
-        states += [state] if t >= 2.0 else []
-    return states
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_sensor_that_freezes_at_full_speed_stops_no_conveyor(seed: int) -> None:
-    """At 4 ms the filter followed it to rest within 0.08 s, and the tool missed the hub."""
-    states = frozen_at_full_speed(seed, 0.004)
-    assert {state.motion for state in states} == {Motion.RUNNING}
-    assert states[-1].x[V] == pytest.approx(NOMINAL, abs=2e-3)
-
-
-def test_what_a_frozen_sensor_repeated_at_first_supports_no_stop() -> None:
-    """In contact lower odds confirm a stop: it was confirmed at the touch, 205 N."""
-    seeds = [frozen_at_full_speed(seed, T0) for seed in range(40)]
-    before = max(state.change_odds for states in seeds for state in states[:2])
-    last = [states[-1] for states in seeds]
-    after = max(state.change_odds for state in last)
-    assert after < BankSettings().contact_confirmed < before
-    assert all(len(set(state.readings[1, -2:])) == 2 for state in last)
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_a_sensor_that_freezes_as_a_slow_conveyor_brakes_does_not_stop_it(seed: int) -> None:
-    """The filter followed it, and the tool touched 5 mm off the hub: 247 N."""
-    bank = BankClassifier(ConveyorClasses(), FusionSettings(), BankSettings(), DEVIATION)
-    rng, state, read = np.random.default_rng(seed), bank.initial(0.0), 0.0
-    for t in np.arange(T0, 1.9 + NOMINAL / STOP, T0):
-        braked = max(t - 2.0, 0.0)
-        at = NOMINAL * t - 0.5 * STOP * braked * braked
-        if NOMINAL - STOP * braked > 0.03:
-            read = 1e-3 * round(1e3 * (at + rng.normal(0.0, 2.5e-4)))
-        row = PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0)
-        state = bank.advance(state, [row], T0)
-    assert state.x[Y] + state.x[OFFSET] == pytest.approx(at, abs=2e-3)
 
 
 @pytest.mark.parametrize("slip", [0.008, -0.008])

@@ -656,66 +656,6 @@ def test_a_body_that_swings_is_no_start_as_long_as_the_conveyor_stands(sway: flo
     assert states[-1].motion is Motion.STANDING
 
 
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("again_s", [2.12, 2.5])
-def test_a_frozen_sensor_that_shows_a_standing_object_again_is_no_start(
-    again_s: float, seed: int
-) -> None:
-    """Its step was taken for a start that began 0.1 s before: 219 N."""
-    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
-    rng, truth = np.random.default_rng(seed), Truth(3.0, ((1.0, -STOP),))
-    state, frozen_s = bank.initial(0.0), 1.81  # 2 mm before it stands
-    for t in np.arange(T0, again_s + 0.3, T0):
-        at = float(truth.at(t))
-        if not frozen_s < t < again_s:
-            read = round((at + rng.normal(0.0, 2.5e-4)) * 1e3) / 1e3
-        rows = [PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0)]
-        if t > 1.8:
-            held = at + rng.normal(0.0, 1e-4)
-            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 1e-6, 20.0))
-        state = bank.advance(state, rows, T0)
-        assert ("start", "confirmed") not in state.events
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_late_readings_that_end_before_the_touch_are_no_stop(seed: int) -> None:
-    """The distance sensor alone showed a stop that had begun before they ended: 268 N."""
-    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
-    rng, state = np.random.default_rng(seed), bank.initial(0.0)
-    for t in np.arange(T0, 2.5, T0):
-        at, rows = NOMINAL * t, []
-        if t < 2.0:
-            read = 1e-3 * round(1e3 * (at + rng.normal(0.0, 2.5e-4)))
-        elif t < 2.11:
-            read = at - 0.0032 - 0.023 * (t - 2.05)
-        if not 2.0 < t < 2.05 and t < 2.2:
-            rows.append(PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0))
-        if t > 2.27:
-            held = at + rng.normal(0.0, 4e-5)
-            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 4e-5**2, 20.0))
-        state = bank.advance(state, rows, T0)
-        assert state.motion is Motion.RUNNING
-
-
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("late_s", [0.025, 0.03, 0.035])
-def test_a_sensor_that_becomes_late_in_contact_is_no_stop(late_s: float, seed: int) -> None:
-    """The distance sensor alone showed one, while the force showed none: 226 N."""
-    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
-    rng, state = np.random.default_rng(seed), bank.initial(0.0)
-    for t in np.arange(T0, 2.6, T0):
-        at, rows = NOMINAL * t, []
-        if not 2.2 < t < 2.2 + late_s + T0:  # it shows nothing as it becomes late
-            delayed = at - NOMINAL * late_s * (t > 2.2)
-            read = 1e-3 * round(1e3 * (delayed + rng.normal(0.0, 2.5e-4)))
-            rows.append(PositionMeasurement(Source.DISTANCE, read, 0.0, DEVIATION**2, 4.0))
-        if t > 2.1:
-            held = at + rng.normal(0.0, 4e-5)
-            rows.append(PositionMeasurement(Source.TACTILE, held, 0.0, 4e-5**2, 20.0))
-        state = bank.advance(state, rows, T0)
-        assert state.motion is Motion.RUNNING
-
-
 def pushed_on(support: float, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     """Events of a stop during which the body is pushed along as if the conveyor went on."""
     monkeypatch.setitem(classifier_bank.SUPPORT, "start", support)

@@ -30,6 +30,11 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
     V,
     Y,
 )
+from linemate.daemon.core.tracking.classifiers.distance.distance_repeat import (
+    FROZEN_S,
+    LARGEST_RAMP,
+    STEP_OF_SIGMA,
+)
 from linemate.daemon.core.tracking.classifiers.onset_bank import NO_POSTERIOR, OnsetBank
 from linemate.daemon.core.tracking.conveyor import Motion, PositionMeasurement, Source
 
@@ -43,17 +48,9 @@ BACK_SIGMAS = 4.0  # of the noise, by which readings have to run backwards
 MOST_REJECTED = 8  # measurements of one sensor rejected in a row, after which the filter widens
 FARTHEST = 1e3  # beyond it the square leaves too few digits for the other variances [m]
 FROZEN_WAY = 0.004  # that a running conveyor makes while a frozen sensor repeats itself [m]
-FROZEN_S = 0.25  # in which the sensor's health excludes a frozen sensor [s]
-# The sensor's health goes by the mean speed over 0.3 s, which is 0.05 m/s as a conveyor that brakes
-# by 0.1 m/s^2 is down to:
-SLOW_RAMP = 0.04  # [m/s], to the resolution
-STEP_OF_SIGMA = math.sqrt(12.0)  # of the resolution, in which a sound sensor repeats itself
-# The same for a step u and a normal noise of sigma s: u + 3 sqrt(2) s is at most this of both.
-CERTAIN_OF_SIGMA = math.sqrt(12.0 + 2.0 * 3.0**2)
 AROUND = 3  # readings before and after a step whose medians are compared
 STEP_SIGMAS = 3.0  # by which the speed of readings that run on may differ
 STEP_SHARE = 0.5  # of an innovation by which the step may differ, and a conveyor may explain it
-LARGEST_RAMP = 1.0  # acceleration that no conveyor exceeds [m/s^2]
 REST_DEVIATION = 0.002  # of the speed when a stop ends [m/s]
 CREEP_DEVIATION = 0.0005  # of the lasting speed of a conveyor that stands [m/s]
 SLOW = 0.004  # speed below which a stop whose deceleration fades is over [m/s]
@@ -342,48 +339,6 @@ def _innovation(
         impulses = state.impulses
         off[middle:end] -= model.delayed_response(impulses.age, measurement.delay, impulses.omega)
     return off, S
-
-
-def repeats_itself(
-    model: BankModel,
-    state: BankState,
-    measurement: PositionMeasurement,
-    dt: float,
-    sigmas: float = STEP_OF_SIGMA,
-) -> bool:
-    """Return whether the distance sensor repeats itself while no conveyor can have stopped.
-
-    None brakes by more than ``LARGEST_RAMP``. The sensor's health needs 0.15 s for it, and the bank
-    confirmed a stop after 0.02 s. Below ``SLOW_RAMP`` a conveyor may stop at once within few steps
-    of the resolution; a stop that is known brakes on as it did.
-
-    Args:
-        state: of the bank, one step before this reading is taken.
-        sigmas: way that the conveyor must have made since, in deviations of a reading.
-    """
-    ages, values = state.readings
-    is_read = measurement.source is Source.DISTANCE and len(values) > 0
-    if not is_read or values[-1] != measurement.value:
-        return False
-    first = first_of_last(state.readings)
-    if not first:
-        return False
-    since, speed = float(ages[first - 1]), float(state.x[V])
-    least = sigmas * model.distance_deviation
-    # It may have begun to brake at the reading before.
-    slower = max(speed - LARGEST_RAMP * (since - float(ages[first])), 0.0)
-    braked = min(float(ages[first]) + dt - measurement.delay, slower / LARGEST_RAMP)
-    if since < FROZEN_S and braked * (slower - 0.5 * LARGEST_RAMP * braked) > least:
-        return True
-    slowed = -since * float(state.x[ACCELERATION])
-    is_slow = state.motion is Motion.STOPPING and speed + slowed < SLOW_RAMP
-    return is_slow and since * (speed + 0.5 * slowed) > least
-
-
-def first_of_last(readings: Array) -> int:
-    """Return the index of the first of the last readings (2, m) that are all alike; m > 0."""
-    values = readings[1]
-    return int(np.flatnonzero(values != values[-1]).max(initial=-1)) + 1
 
 
 def _since_change(state: BankState, measurement: PositionMeasurement) -> float:

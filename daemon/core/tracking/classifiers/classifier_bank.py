@@ -7,7 +7,6 @@ of the body. A change counts by its odds against no change *and* against an impu
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
@@ -22,7 +21,6 @@ from linemate.daemon.core.tracking.classifiers import (
     sway_filter,
 )
 from linemate.daemon.core.tracking.classifiers.bank_filter import (
-    CERTAIN_OF_SIGMA,
     REST_DEVIATION,
     SETTLING,
     clear_banks,
@@ -52,6 +50,7 @@ from linemate.daemon.core.tracking.classifiers.bank_model import (
 from linemate.daemon.core.tracking.classifiers.distance import (
     distance_change,
     distance_check,
+    distance_repeat,
     distance_step,
 )
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
@@ -100,7 +99,7 @@ class BankClassifier(BankModel):
         self, state: BankState, measurements: Sequence[PositionMeasurement], dt: float
     ) -> BankState:
         """Return the estimate ``dt`` seconds later, its class decided."""
-        state, measurements = self._without_repeated(state, measurements, dt)
+        state, measurements = distance_repeat.without_repeated(self, state, measurements, dt)
         before = state
         state = sway_filter.predict(self, bank_filter.predict(self, state, dt), dt)
         felt = [each for each in measurements if each.source is Source.TACTILE]
@@ -118,37 +117,6 @@ class BankClassifier(BankModel):
             state = replace(state, within_ramp=before.motion in RAMPS)
         state = sway_filter.follow(self, predicted, state, measurements)
         return guide.advance(self, before, state, measurements, dt)
-
-    def _without_repeated(
-        self, state: BankState, measurements: Sequence[PositionMeasurement], dt: float
-    ) -> tuple[BankState, Sequence[PositionMeasurement]]:
-        """Return the measurements without those of a distance sensor that repeats itself.
-
-        Once that is certain, what supported a change may be the readings that it repeated before.
-        """
-        read = [each for each in measurements if each.source is Source.DISTANCE]
-        repeats = partial(bank_filter.repeats_itself, self, state, dt=dt)
-        repeated = [each for each in read if repeats(each)]
-        if not read or not (repeated or state.is_repeating):
-            return state, measurements
-        kept = [each for each in measurements if each not in repeated]
-        is_certain = any(repeats(each, sigmas=CERTAIN_OF_SIGMA) for each in repeated)
-        if is_certain and not state.is_repeating:
-            state = self._before_repeated(state)
-        return replace(state, is_repeating=is_certain), kept
-
-    def _before_repeated(self, state: BankState) -> BankState:
-        """Return the state without what supports a change, and the repeated readings but one."""
-        first, faster = bank_filter.first_of_last(state.readings), state.faster
-        if faster is not None:
-            prior = AmplitudePrior(1.0, faster.variance)
-            faster = replace(faster, bank=onset_bank.without_support(faster.bank, prior))
-        return replace(
-            state,
-            changes=onset_bank.without_support(state.changes, self.change_prior),
-            faster=faster,
-            readings=state.readings[:, : first + 1],
-        )
 
     def _in_contact(
         self, state: BankState, felt: Sequence[PositionMeasurement], dt: float
