@@ -50,10 +50,7 @@ def stolen_s(stat: Path = Path("/proc/stat")) -> float | None:
 def resident_bytes() -> int:
     """Return the memory of this process that is in use [bytes], 0 if it is not known."""
     try:
-        return (
-            int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-            * resource.getpagesize()
-        )
+        return int(Path("/proc/self/statm").read_bytes().split()[1]) * resource.getpagesize()
     except (OSError, ValueError, IndexError):
         return 0
 
