@@ -143,7 +143,7 @@ class RecordingWriter:
         start = self._start
         assert start is not None  # noqa: S101 - begin has set it
         self._path, self._stream = str(path), stream
-        remove_oldest(path.parent, start.rotation.total_bytes)
+        remove_oldest(path, start.rotation.total_bytes)
         offset_ns = time.time_ns() - time.monotonic_ns()
         self._file = self._new_file(stream, start.texts, start.chunk_bytes, offset_ns)
         self._began_s = time.monotonic()
@@ -219,7 +219,7 @@ def main(descriptor: int) -> int:
         descriptor: stream socket whose other end is the daemon's.
     """
     # Only the daemon ends this process, by closing the socket.
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(number, signal.SIG_IGN)
     _leave_daemon_cores()
     with socket.socket(fileno=descriptor) as link:
@@ -300,13 +300,17 @@ def new_file(directory: Path) -> tuple[Path, BinaryIO]:
         time.sleep(0.001)  # names count milliseconds
 
 
-def remove_oldest(directory: Path, total_bytes: int | None) -> None:
-    """Remove the oldest recordings beyond a limit; the newest one, being written, stays."""
+def remove_oldest(written: Path, total_bytes: int | None) -> None:
+    """Remove the oldest recordings beyond a limit, but never the one that is being written.
+
+    Args:
+        written: file that is being written. After a step of the clock its name may be the oldest.
+        total_bytes: limit for all recordings in its directory, None for no limit.
+    """
     if total_bytes is None:
         return
-    *older, newest = sorted(directory.glob(PATTERN))
-    space_bytes = total_bytes - newest.stat().st_size
-    for path in reversed(older):
+    space_bytes = total_bytes - written.stat().st_size
+    for path in sorted({*written.parent.glob(PATTERN)} - {written}, reverse=True):
         space_bytes -= path.stat().st_size
         if space_bytes < 0:
             log.info("recording removed for the limit of all recordings: %s", path)

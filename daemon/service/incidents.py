@@ -90,15 +90,16 @@ class IncidentFiles:
 
 
 def _write(path: Path, data: bytes) -> list[str]:
-    """Write a file and remove the oldest ones beyond MOST_FILES; return their names."""
+    """Write a file and remove the oldest others beyond MOST_FILES; return their names."""
     path.write_bytes(data)
     # Sorted by time of writing: the stamps in the names restart with the host.
+    # The new file is no candidate: after a step of the clock its time may be the oldest.
     aged: list[tuple[int, str]] = []
-    for file in path.parent.glob(PATTERN):
+    for file in {*path.parent.glob(PATTERN)} - {path}:
         with contextlib.suppress(FileNotFoundError):  # another program has removed it
             aged.append((file.stat().st_mtime_ns, file.name))
     aged.sort()
-    removed = [name for _, name in aged[:-MOST_FILES]]
+    removed = [name for _, name in aged[: 1 - MOST_FILES]]
     for name in removed:
         (path.parent / name).unlink(missing_ok=True)
     return removed

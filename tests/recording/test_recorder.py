@@ -321,6 +321,19 @@ def test_the_oldest_recordings_are_removed_and_nothing_else_is_touched(
     assert len(left) == 4
 
 
+def test_a_recording_that_is_written_stays_when_the_clock_was_set_back(
+    tmp_path: Path, entries: Entries
+) -> None:
+    later = tmp_path / "linemate-29990101T000000.000Z.mcap"
+    later.write_bytes(b"x" * 2000)
+    recorder = Recorder(tmp_path, TEXTS, rotation=Rotation(total_bytes=1500))
+    assert recorder.start() is None
+    recorder.record(entries)
+    recorder.close()
+    assert len(read_recording(Path(recorder.status.file)).steps) == len(entries)
+    assert not later.exists()
+
+
 def test_a_disk_that_is_nearly_full_ends_the_recording_with_its_file_readable(
     tmp_path: Path, entries: Entries
 ) -> None:

@@ -109,6 +109,23 @@ def test_one_file_is_written_at_a_time(tmp_path: Path) -> None:
     assert files.refused == 1
 
 
+def test_an_incident_is_kept_when_the_clock_was_set_back(tmp_path: Path) -> None:
+    for k in range(MOST_FILES):
+        path = tmp_path / f"incident-{k}.csv"
+        path.write_bytes(b"old")
+        os.utime(path, (2**32 + k, 2**32 + k))
+
+    async def main() -> None:
+        files = IncidentFiles(tmp_path)
+        files.begin(replace(ring(3), at_ns=10**15))
+        files.write_some()
+        await until(lambda: files.written == 1)
+
+    run(main())
+    left = {path.name for path in tmp_path.glob("incident-*.csv")}
+    assert left == {f"incident-{10**15}.csv", *(f"incident-{k}.csv" for k in range(1, MOST_FILES))}
+
+
 def test_the_newest_incidents_are_kept_and_the_removed_ones_are_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
