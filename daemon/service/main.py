@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from linemate.daemon import command_line
 from linemate.daemon.command_line import CommandLine, Version
+from linemate.daemon.service.host.log_stream import LogStream
 
 if TYPE_CHECKING:
     from linemate.daemon.commissioning.kept_rehearsals import KeptRehearsals
@@ -37,7 +38,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the daemon and return its exit code."""
     arguments = parser().parse_args(argv)
     logging.basicConfig(
-        level=arguments.log.upper(), stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
+        level=arguments.log.upper(),
+        handlers=[LogStream()],
+        format="%(levelname)s %(name)s: %(message)s",
     )
     # Nothing that a start imports and compiles is garbage: to look for it is 5 % of the start.
     gc.disable()
@@ -112,8 +115,11 @@ def _report_ready(listening: dict[str, Any], ready_fd: int | None) -> None:
     """Write one line of JSON for the process that started the daemon, and close."""
     if ready_fd is None:
         return
-    with os.fdopen(ready_fd, "w", encoding="utf-8") as pipe:
-        pipe.write(json.dumps(listening) + "\n")
+    try:
+        with os.fdopen(ready_fd, "w", encoding="utf-8") as pipe:
+            pipe.write(json.dumps(listening) + "\n")
+    except OSError as error:
+        log.warning("the ports are not reported: --ready-fd %d: %s", ready_fd, error.strerror)
 
 
 def _descriptor(text: str) -> int:
