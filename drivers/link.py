@@ -21,7 +21,7 @@ class LinkStatus:
         up: the transport is open; samples need not arrive.
         since_ns: monotonic time of the last change of ``up`` [ns].
         last_sample_stamp_ns: arrival of the newest good sample [ns], None before the first.
-        reason: why the link is down, empty while it is up.
+        reason: why the link is down, or what its device does not answer; else empty.
         counters: events by name; every drop, refusal and reopening is one of them.
     """
 

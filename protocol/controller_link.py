@@ -127,6 +127,10 @@ class Handshake(Protocol):
     def is_ended(self) -> bool:
         """The last reply of the stream is out, or there is none."""
 
+    @property
+    def waits_for(self) -> str:
+        """What is asked for and does not come, and what to do; empty while telegrams come."""
+
     def due(self, now_ns: int) -> list[bytes]:
         """Return the datagrams to send now [ns]."""
 

@@ -46,6 +46,7 @@ class Evidence(Struct, frozen=True, eq=False):
         waiting: why the tool waits before contact, None if it does not.
         swinging_n: rms force of an oscillation that softening does not end [N], None if none.
         unanswered_n: mean force of a contact that has answered no test [N], None if none.
+        declined: why telegrams get no setpoint and what to do, None if they get one.
     """
 
     facts: watch.Facts
@@ -60,6 +61,7 @@ class Evidence(Struct, frozen=True, eq=False):
     waiting: str | None = None
     swinging_n: float | None = None
     unanswered_n: float | None = None
+    declined: str | None = None
 
 
 class Change(Struct, frozen=True):
@@ -167,7 +169,8 @@ def _explain(name: str, signals: Signals, evidence: Evidence) -> Explanation:
 
 def _link(signals: Signals, evidence: Evidence) -> Explanation:
     counts, settings, facts = evidence.counts, evidence.settings, evidence.facts
-    cable = "Check the robot's network and the controller's programme."
+    cable = evidence.declined or "Check the robot's network and the controller's programme."
+    cable = cable[0].upper() + cable[1:]
     if signals.link is Link.HEALTHY:
         return f"{counts.good} answered cycles in a row, {settings.healthy_cycles} needed", ""
     touches = counts.state in watch.IN_CONTACT

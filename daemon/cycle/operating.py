@@ -52,6 +52,7 @@ class Situation(Struct, frozen=True, eq=False):
             sees nothing any more, is not waited for.
         closing: the tool is so near to its touch that a wait cannot prevent it any more.
         home: why the robot cannot go home from where it is, None if it can.
+        declined: why telegrams get no setpoint and what to do, None if they get one.
     """
 
     last: Outputs | None
@@ -63,6 +64,7 @@ class Situation(Struct, frozen=True, eq=False):
     last_approach: bool = False
     closing: bool = False
     home: str | None = "not looked at"
+    declined: str | None = None
 
 
 class Operating:
@@ -221,6 +223,7 @@ class Operating:
             unanswered_n=None if last is None else last.unanswered_n,
             ordered_by=orders,
             fault=self.fault,
+            declined=situation.declined,
         )
 
     def _facts(

@@ -469,6 +469,7 @@ class Stepper:
             last_approach=self._in_last_approach,
             closing=self._is_closing,
             home=self._home_refusal(),
+            declined=self.session.unproven,
         )
 
     def _home_refusal(self) -> str | None:

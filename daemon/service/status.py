@@ -207,9 +207,10 @@ def _complaints(
         elif name in hidden:
             continue
         elif link["age_s"] is None or link["age_s"] > STALE_S:
-            yield f"link {name} is silent"
+            yield f"link {name} is silent" + (link["reason"] and f": {link['reason']}")
     if cycle["link"] != "healthy" and links["robot"]["up"]:
-        yield f"the robot link is {cycle['link']}"
+        unproven = cycle["correction"]["unproven"]
+        yield f"the robot link is {cycle['link']}" + (f": {unproven}" if unproven else "")
     refusal = snapshot.timer.lock.estimate.refusal
     if refusal:
         yield refusal

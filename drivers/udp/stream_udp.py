@@ -71,6 +71,8 @@ class StreamLink(RobotLink):
         """Send what the handshake has to say, and look again soon."""
         self._timer = asyncio.get_running_loop().call_later(ASK_S, self._ask)
         self._transmit(self._handshake.due(time.monotonic_ns()))
+        if self._socket is not None:
+            self.status.reason = self._refusal or self._handshake.waits_for
 
     def _transmit(self, datagrams: list[bytes]) -> None:
         transport = self._socket
@@ -99,7 +101,6 @@ class StreamLink(RobotLink):
             self._on_start()
         if self._handshake.refusal != self._refusal:
             self._refusal = self._handshake.refusal
-            self.status.reason = self._refusal or ""
             if self._refusal is not None:
                 log.error("%s: no stream: %s", self.status.name, self._refusal)
         self._transmit(self._handshake.due(time.monotonic_ns()))

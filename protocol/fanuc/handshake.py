@@ -31,9 +31,9 @@ class StreamState(StrEnum):
     """State of the stream."""
 
     CLOSED = "not asked for"
-    ASKED = "CAPABILITY sent, no answer yet"
+    ASKED = "CAPABILITY sent, no answer. Check fanuc.peer, its port and the controller's option."
     REFUSED = "the controller does not fit the configuration"
-    STARTED = "START sent, no status packet yet"
+    STARTED = "START sent, no status packet. Check that no other program has the stream."
     STREAMING = "status packets come"
     ENDING = "the next command is the last one"
     ENDED = "the last command is out"
@@ -67,6 +67,11 @@ class FanucHandshake:
         """The last command is out, or no stream was there to be ended."""
         return self.state is StreamState.ENDED
 
+    @property
+    def waits_for(self) -> str:
+        """What is asked for and does not come, and what to do; empty while packets come."""
+        return self.state.value if self.state in {StreamState.ASKED, StreamState.STARTED} else ""
+
     def due(self, now_ns: int) -> list[bytes]:
         """Return the packets to send now [ns]."""
         outbox, self._outbox = self._outbox, []
@@ -99,17 +104,16 @@ class FanucHandshake:
                 return False
             return True  # of a stream that was not asked for, or is being stopped
         if kind == PacketKind.CAPABILITY:
-            try:
-                answer = read_capability(data)
-            except FanucError as error:
-                self.refusal = str(error)
-            else:
-                self._judge(answer, now_ns)
+            if self.state in {StreamState.ASKED, StreamState.REFUSED}:
+                self._read_answer(data, now_ns)
             return True
         return False
 
-    def _judge(self, answer: CapabilityPacket, now_ns: int) -> None:
-        if self.state not in {StreamState.ASKED, StreamState.REFUSED}:
+    def _read_answer(self, data: bytes, now_ns: int) -> None:
+        try:
+            answer = read_capability(data)
+        except FanucError as error:
+            self.refusal = str(error)
             return
         if answer.available_version != self._version:
             self.refusal = (

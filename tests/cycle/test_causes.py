@@ -184,6 +184,14 @@ def test_what_is_named_is_enough_for_the_row_whatever_else_is_the_case() -> None
     assert seen > 250
 
 
+@pytest.mark.parametrize("link", [Link.LOST, Link.UNPROVEN])
+def test_a_controller_that_takes_no_setpoints_is_the_cause_and_not_the_network(link: Link) -> None:
+    known = evidence(declined="the controller takes no setpoints: emergency stop. Release it.")
+    words, advice = causes._link(replace(QUIET, link=link), known)
+    assert words.startswith("no answered telegram")
+    assert advice == "The controller takes no setpoints: emergency stop. Release it."
+
+
 @pytest.mark.parametrize(
     ("change", "lines"),
     [

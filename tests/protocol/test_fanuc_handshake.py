@@ -42,6 +42,25 @@ def test_a_stream_starts_once() -> None:
     assert (handshake.due(5 * MS), handshake.starts) == ([], 1)
 
 
+@pytest.mark.parametrize("data", [answer()[:12], answer(4), answer(3, 16)])
+def test_an_answer_that_was_not_asked_for_refuses_nothing(data: bytes) -> None:
+    handshake = streaming()
+    assert handshake.on_datagram(data, 4 * MS)
+    assert handshake.refusal is None
+    assert not handshake.on_datagram(STATUS, 5 * MS)
+
+
+def test_what_does_not_come_is_named_until_it_comes() -> None:
+    handshake = FanucHandshake(3, 8.0)
+    assert handshake.waits_for == ""
+    handshake.due(0)
+    assert "CAPABILITY sent, no answer. Check fanuc.peer" in handshake.waits_for
+    handshake.on_datagram(answer(), MS)
+    assert "START sent, no status packet." in handshake.waits_for
+    handshake.on_datagram(STATUS, 2 * MS)
+    assert handshake.waits_for == ""
+
+
 def test_a_stream_that_falls_silent_is_asked_for_again() -> None:
     handshake = streaming()
     assert handshake.due(501 * MS) == []

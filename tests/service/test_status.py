@@ -45,7 +45,7 @@ def app(tmp_path: Path, parameters: Parameters) -> App:
     made = App(config.load(path), parameters, realtime.RealtimeHost(), Notifier())
     now_ns = time.monotonic_ns()
     for link in made._links:
-        link.status.up = True
+        link.status.mark_up()
         link.status.last_sample_stamp_ns = now_ns
     made.cycle.operating.signals = replace(Signals(), link=Link.HEALTHY)
     return made
@@ -73,6 +73,19 @@ def test_a_silent_camera_is_a_complaint_where_nothing_covers_it(app: App, state:
     silence(app, "camera", 8.0)
     assert app.status()["complaints"] == ("link camera is silent",)
     assert app.status()["health"] == "degraded"
+
+
+def test_a_silent_robot_says_what_it_does_not_answer(app: App) -> None:
+    silence(app, "robot", 8.0)
+    app._robot.status.reason = "CAPABILITY sent, no answer."
+    assert "link robot is silent: CAPABILITY sent, no answer." in app.status()["complaints"]
+
+
+def test_a_robot_that_takes_no_setpoints_says_why(app: App) -> None:
+    app.cycle.operating.signals = replace(Signals(), link=Link.UNPROVEN)
+    app.cycle.session.unproven = "the controller takes no setpoints: emergency stop."
+    (complaint,) = [text for text in app.status()["complaints"] if "robot link is" in text]
+    assert complaint.endswith(": the controller takes no setpoints: emergency stop.")
 
 
 @pytest.mark.parametrize("name", ["distance", "force_torque"])

@@ -85,8 +85,9 @@ def test_a_controller_that_does_not_fit_is_named_in_the_status(controller: socke
         link = StreamLink(hold, "127.0.0.1", 0, controller.getsockname(), FanucHandshake(3, 8.0))
         link.open()
         _, daemon = await receive(controller)
+        await until(lambda: "CAPABILITY sent, no answer." in link.status.reason)
         controller.sendto(packets.write_capability(CapabilityPacket(4, 8, 1, 4)), daemon)
-        await until(lambda: bool(link.status.reason))
+        await until(lambda: "version" in link.status.reason)
         assert "version 4 of Stream Motion, configured 3" in link.status.reason
         await link.end_stream()  # nothing to wait for
         link.close()
