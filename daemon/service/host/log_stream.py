@@ -1,8 +1,8 @@
 """Log lines on standard error that never delay the cycle.
 
 Invariants:
-    A line is written if there is room for it, else it is dropped and counted.
-    A pipe that is ready has room for ``LONGEST`` bytes.
+    A line is written if it does not have to wait, else it is dropped and counted.
+    A pipe that is ready takes ``LONGEST`` bytes.
 """
 
 import logging
@@ -24,12 +24,12 @@ class LogStream(logging.StreamHandler[TextIO]):
     def __init__(self) -> None:
         super().__init__()
         self.dropped = 0
-        self._room = select.poll()
-        self._room.register(STDERR, select.POLLOUT)
+        self._ready = select.poll()
+        self._ready.register(STDERR, select.POLLOUT)
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line, or drop it."""
-        if not self._room.poll(0):
+        if not self._ready.poll(0):
             self.dropped += 1
             return
         super().emit(record)
