@@ -321,6 +321,22 @@ def test_the_oldest_recordings_are_removed_and_nothing_else_is_touched(
     assert len(left) == 4
 
 
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT", "SIGHUP", "SIGQUIT"])
+def test_a_signal_to_the_whole_group_leaves_the_writer_to_the_daemon(
+    tmp_path: Path, entries: Entries, name: str
+) -> None:
+    recorder = Recorder(tmp_path, TEXTS, flush_s=0.01)
+    assert recorder.start() is None
+    recorder.record(entries[:1])
+    wait_for(lambda: recorder.status.written == 1)  # the process has begun
+    assert recorder.writer_pid is not None
+    os.kill(recorder.writer_pid, signal.Signals[name])
+    recorder.record(entries[1:])
+    recorder.close()
+    assert recorder.status.failure == ""
+    assert len(read_recording(Path(recorder.status.file)).steps) == len(entries)
+
+
 def test_a_recording_that_is_written_stays_when_the_clock_was_set_back(
     tmp_path: Path, entries: Entries
 ) -> None:
