@@ -193,7 +193,6 @@ class ControllerLink(Protocol):
         Args:
             command: where the axes shall be [rad, m].
             origin: where offsets or increments count from [rad, m].
-            digital_out: signals to the tool.
 
         Raises:
             ControllerError: the wire cannot carry it.

@@ -247,7 +247,6 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
     """Return the part of a step (90 % of its time) that the last delivery does not change.
 
     Args:
-        state: of the step before.
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
     joints = None if inputs.robot is None else _joints(parameters, inputs.robot)
@@ -352,7 +351,6 @@ def finish(
     """Return a step's state and outputs, with the delivery of the last command.
 
     Args:
-        state: of the step before.
         planned: by ``plan`` from the same state, inputs and parameters.
         inputs: ``sent``, ``applied`` and ``pace`` may differ from those of ``plan``.
     """
@@ -424,7 +422,6 @@ def _after_silence(
     what it is behind: a catch-up would swing it. One that is clamped catches up.
 
     Args:
-        before: of the step before.
         state: it, with the limiter at the command that the robot executes.
     """
     planned, limiter = desired.command, state.control.limiter
@@ -584,12 +581,7 @@ def is_home(state: StepState, parameters: Parameters) -> bool:
 
 
 def home_refusal(state: StepState, outputs: Outputs, parameters: Parameters) -> str | None:
-    """Return why the robot cannot go home from where it is, None if it can.
-
-    Args:
-        state: after the last step.
-        outputs: results of the last step.
-    """
+    """Return why the robot cannot go home from where it is, None if it can."""
     tracker, reference = state.tracker, parameters.tracker.reference
     if state.moving:
         return "the robot still moves"

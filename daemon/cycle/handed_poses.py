@@ -30,7 +30,6 @@ class HandedPoses:
         """Queue a chunk; return why it is refused, None if it is not.
 
         Args:
-            state: after the last step.
             stamp_ns: of the last step [ns].
         """
         if len(self._chunks) >= MOST_CHUNKS:

@@ -153,7 +153,6 @@ class Operating:
         """Move the operating state on what was seen up to now.
 
         Args:
-            samples: what the sensors brought.
             situation: the robot and the task.
             telegram: the step is made for one.
         """

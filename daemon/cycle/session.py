@@ -92,7 +92,6 @@ class Session:
         """Wait for the first program.
 
         Args:
-            cycle_s: the controller's cycle [s].
             rules: how its family exchanges setpoints.
         """
         self.reference: Axes = ()

@@ -39,11 +39,7 @@ class DeliveryCheck:
     __slots__ = ("_arrived", "_given", "_length", "_resumed", "_sent_to", "_trusted", "is_lost")
 
     def __init__(self, cycle_s: float) -> None:
-        """Begin without a setpoint.
-
-        Args:
-            cycle_s: the controller's cycle [s].
-        """
+        """Begin without a setpoint."""
         self.is_lost = False
         self._resumed = max(1, round(RESUMED_S / cycle_s))
         self._arrived = self._trusted = max(1, round(TRUSTED_S / cycle_s))

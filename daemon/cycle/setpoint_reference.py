@@ -180,7 +180,6 @@ def continuation(program: Program, robot: RobotSample, cycle_s: float) -> Contin
     Args:
         program: the one that was answered last.
         robot: a telegram that may be its next, or of its past.
-        cycle_s: the controller's cycle [s].
     """
     passed_s = (robot.stamp_ns - program.stamp_ns) * 1e-9
     by_counter = _cycles(program, robot.counter)
@@ -242,7 +241,6 @@ def start_seen(
         delay: bad cycles that the controller has counted, None if not in the telegram.
         silence_s: before the first telegram after it; None if there was none [s].
         since_s: time since the silence [s].
-        cycle_s: the controller's cycle [s].
         known: the program that was served last.
     """
     if delay is None or silence_s is None:
@@ -264,7 +262,6 @@ def goes_on_after_stall(program: Program, robot: RobotSample, cycle_s: float) ->
     Args:
         program: the one that was answered last.
         robot: the first telegram after a silence.
-        cycle_s: the controller's cycle [s].
     """
     cycles = _cycles(program, robot.counter)
     if cycles is None or cycles <= 0:

@@ -372,9 +372,6 @@ def _enter(machine: Machine, row: Row) -> Machine:
 def order(machine: Machine) -> MotionOrder:
     """What the step may do.
 
-    Args:
-        machine: where the machine stands.
-
     Returns:
         TRACK also in the task's own retreat, which the reference trajectory describes.
     """
@@ -405,8 +402,6 @@ def refusal(machine: Machine, signals: Signals, op: str) -> str | None:
     """Why an order cannot be taken now.
 
     Args:
-        machine: where the machine stands.
-        signals: what it saw last.
         op: arm, start, stop, retreat, ack, home or follow.
 
     Returns:

@@ -112,7 +112,6 @@ def observe(
     """Judge one cycle.
 
     Args:
-        facts: what the cycle showed.
         machine: where the state machine stands before this cycle.
 
     Returns:

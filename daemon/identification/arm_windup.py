@@ -91,7 +91,6 @@ def identify_arm_windup(
     """Return the windup of each axis.
 
     Args:
-        traces: recordings of one cell.
         look: images of a trace with poses.
         kinematics: from links to the tcp in base.
         nominal: (3, 3) C, the nominal object's axes in base.

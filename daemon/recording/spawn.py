@@ -33,7 +33,6 @@ class Spawned:
 
         Args:
             command: path of a program, and its arguments.
-            environment: of the new process.
             descriptor: a file that it gets, under the same number; its standard input is empty.
 
         Raises:

@@ -95,7 +95,6 @@ class RecordedRun:
         """Add the predicted horizon of a step; steps come in their order.
 
         Args:
-            k: Number of the step.
             ahead_ms: Time from the step to the last point [ms].
             points: Positions of the tcp in base [m].
             exact: Whether all bits are the recorded ones.

@@ -42,9 +42,7 @@ class OnTelegram(Protocol):
         """Return the reply; empty: the telegram counts and gets none; None: it does not count.
 
         Args:
-            data: bytes of the telegram.
             stamp_ns: arrival on the monotonic clock [ns].
-            source: address of the sender.
             is_answered: the ready reply has been sent. The same reply is to be returned.
         """
 

@@ -101,7 +101,6 @@ class EgmLink:
         Args:
             command: where the axes shall be [rad, m].
             origin: setpoint of the cycle before [rad, m]; the difference gives the speed.
-            digital_out: signals to the tool.
 
         Raises:
             EgmError: the wire cannot carry it.

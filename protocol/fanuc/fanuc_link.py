@@ -176,7 +176,6 @@ class FanucLink:
         Args:
             command: position of the axes [rad, m].
             origin: of no use: setpoints are positions.
-            digital_out: signals to the tool.
 
         Raises:
             FanucError: a joint that is not finite, or an axis too many.

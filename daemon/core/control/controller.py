@@ -219,7 +219,6 @@ def at_rest(
     Args:
         joints: (axes,) of the motors.
         pose: (6,) of the tcp.
-        wound: windup there, None without.
         drift: of the dead times, as far as it is known; None at first.
     """
     placed = links_of(controller, joints, wound)
@@ -257,11 +256,7 @@ def displaced(state: ControlState, joints: Array, pose: Array) -> ControlState:
 
 
 def links_of(controller: Controller, joints: Array, wound: WindupState | None) -> Array:
-    """Return the positions (axes,) of the links for those of the motors.
-
-    Args:
-        wound: windup there, None without.
-    """
+    """Return the positions (axes,) of the links for those of the motors."""
     placed = joints
     if controller.windup is not None and wound is not None:
         placed = windup.links(controller.windup, wound, joints)
@@ -380,7 +375,6 @@ def limit_command(
     """Return the state after the command limiter; its limiter's position is the command.
 
     Args:
-        desired: command of this step.
         limiter: of the commands that the robot has; without a desired command it brakes.
         clamped: the tool is clamped to the object: the arm compensates the linear axis' lag.
 

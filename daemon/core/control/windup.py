@@ -86,7 +86,6 @@ def motors(windup: Windup, state: WindupState, wanted: Array) -> tuple[Array, Wi
 
     Args:
         state: at the first row.
-        wanted: positions of the links.
 
     Returns:
         The motors, and the state at the second row.

@@ -155,7 +155,6 @@ def measure_camera(
         tcp: (6,) undeflected tcp in c at the exposure.
         camera: position (3,) and rotation (3, 3) of the camera in the tcp.
         noise: model of its deviations where the sample has no covariance.
-        now_ns: time of the step.
         rate: (6,) of the tcp.
         motion: (6,) speed of the tcp at the exposure, in c [m/s, rad/s]; None if it is not known.
     """
@@ -257,7 +256,6 @@ def measure_touch(
     Args:
         tcp: (6,) undeflected tcp in c at that moment.
         noise: stiffness of the mount and deviation of a deflection.
-        now_ns: time of the step.
         rate: (6,) of the tcp.
         date_error: how far the tcp's date may be off [s].
     """

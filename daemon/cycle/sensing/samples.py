@@ -63,7 +63,6 @@ class SampleQueue(Generic[Sample]):
 
         Args:
             size: samples that may wait.
-            health: accepts or refuses samples.
             date: dates each sample by the sensor's own clock.
             date_batch: dates what is drained, for sensors without a clock.
         """

@@ -46,7 +46,6 @@ def lint(
     """Return what the daemon would refuse, in the order of the lines.
 
     Args:
-        xml: bytes of the file.
         corrections: how the controller reads them (``rsi.corrections``).
         constants: values of elements that linemate does not know (``rsi.constants``).
         task: whose arm and gates the file has to serve; None: an arm of six axes.

@@ -49,11 +49,7 @@ class SerialPty:
         self.port.unplug()
 
     def emit(self, force: Sequence[float], torque: Sequence[float], device_us: int) -> None:
-        """The sensor measures.
-
-        Args:
-            device_us: the device's clock [us].
-        """
+        """The sensor measures."""
         self.port.write(self.sensor.frame(force, torque, device_us))
 
     def counters(self) -> dict[str, int]:

@@ -76,9 +76,6 @@ class TcpPort:
     def write(self, data: bytes) -> bool:
         """Send bytes, all or some of them; the rest is lost.
 
-        Args:
-            data: what the device says.
-
         Returns:
             Whether all of it was written.
         """

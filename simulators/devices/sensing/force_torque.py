@@ -58,9 +58,6 @@ class ForceTorqueSensor:
     def feed(self, data: bytes) -> bytes:
         """Take the host's bytes, cut anywhere.
 
-        Args:
-            data: what the host wrote.
-
         Returns:
             The answers.
         """
@@ -68,9 +65,6 @@ class ForceTorqueSensor:
 
     def frame(self, force: Sequence[float], torque: Sequence[float], device_us: int) -> bytes:
         """The frame of one reading.
-
-        Args:
-            device_us: the device's clock [us].
 
         Returns:
             Bytes for the host; none while the device does not stream.
