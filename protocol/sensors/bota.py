@@ -229,15 +229,12 @@ class BotaDevice:
         refused: bytes and commands that are unknown or out of range.
     """
 
-    __slots__ = ("_buffer", "_name", "_pending", "refused", "settings", "streaming")
+    __slots__ = ("_buffer", "_pending", "refused", "settings", "streaming")
 
-    def __init__(
-        self, name: str = "linemate SensONE", settings: BotaSettings | None = None
-    ) -> None:
+    def __init__(self) -> None:
         """Begin without power; :meth:`boot` powers on."""
-        self._name = name
         self._buffer = b""
-        self._pending = self.settings = settings or BotaSettings()
+        self._pending = self.settings = BotaSettings()
         self.streaming = False
         self.refused = 0
 
@@ -245,7 +242,7 @@ class BotaDevice:
         """Power on and stream with the saved settings; return the banner."""
         self._buffer = b""
         self.streaming = True
-        return f"{self._name}\r\nserial 0001\r\nfirmware 1.0\r\nApp Init\r\n".encode()
+        return b"linemate SensONE\r\nserial 0001\r\nfirmware 1.0\r\nApp Init\r\n"
 
     def feed(self, data: bytes) -> bytes:
         """Return the answers to the host's bytes, which may be cut anywhere."""

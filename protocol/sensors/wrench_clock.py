@@ -20,6 +20,7 @@ PROMPT_NS, STEADY_NS = 8_000_000, 40_000_000
 # A frame that comes twice repeats its count once, a clock that stands more often. By that clock
 # frames looked up to LONGEST_LATE_NS late, over and over: a start in contact was felt 0.1 s late.
 MOST_REPEATS = 1
+WINDOW_S = 10.0  # in which the least delay of a frame is looked for
 
 
 class WrenchClock:
@@ -31,9 +32,8 @@ class WrenchClock:
 
     __slots__ = ("_last_us", "_offset", "_prompt_ns", "_repeats", "_turns", "distrusted")
 
-    def __init__(self, window_s: float = 10.0) -> None:
-        """Begin without a sample; an offset is kept for ``window_s`` [s]."""
-        self._offset = ClockOffset(window_s)
+    def __init__(self) -> None:
+        self._offset = ClockOffset(WINDOW_S)
         self._last_us: int | None = None
         self._prompt_ns: int | None = None
         self._repeats = 0
