@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import Outputs, StepState
+from linemate.daemon.core.step_state import Outputs, StepState
 
 P = parameters()
 HOME = (*REST, AXIS)

@@ -12,148 +12,38 @@ Invariants:
 """
 
 import numpy as np
-from msgspec import Struct
 from msgspec.structs import replace
 
-from linemate.daemon.core import followed_poses, rotations, way_home, wrench_frame
-from linemate.daemon.core.control import command_limiter, windup
+from linemate.daemon.core import followed_poses, lost_command, rotations, way_home, wrench_frame
+from linemate.daemon.core.arm_pose import axis_of, joints_of, tcp_of, windup_after
+from linemate.daemon.core.control import command_limiter
 from linemate.daemon.core.control import controller as control
 from linemate.daemon.core.control.windup import WindupState
 from linemate.daemon.core.followed_poses import ChunkError, FollowedPoses
 from linemate.daemon.core.horizon import Array, Horizon
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import (
+    FIX_SCREWS,
+    RELEASE_WHEEL,
+    Outputs,
+    Pose,
+    StepPlan,
+    StepState,
+)
 from linemate.daemon.core.tracking import contact_decision, task_clock, tracker_state
 from linemate.daemon.core.tracking import tracker as tracking
 from linemate.daemon.core.tracking.estimation.mount_sag import elastic
 from linemate.daemon.core.tracking.go_no_go import evidence
 from linemate.daemon.core.tracking.goal import rest_state, retraction
 from linemate.daemon.core.tracking.reference import Reference
-from linemate.daemon.core.tracking.task import Gate, Phase
-from linemate.daemon.core.way_home import HomePath
+from linemate.daemon.core.tracking.task import Phase
 from linemate.protocol.stamped_samples import RobotSample
 
-# Position [m] and unit quaternion, w first, in base.
-Pose = tuple[float, float, float, float, float, float, float]
-
-FIX_SCREWS = 1
-RELEASE_WHEEL = 2
 REST_DISTANCE = 0.02  # largest distance from the task's first pose to start [m]
 REST_ANGLE = 0.05  # largest rotation from it [rad]
 NEAR = 0.06  # a tool this near to the object is led like a clamped one [m]
 REST_TOLERANCE = 0.05  # a robot that tracked comes to rest within this distance [m]
-
-
-class StepState(Struct, frozen=True, eq=False):
-    """State of the step.
-
-    Attributes:
-        applied: (axes,) the last command that was sent.
-        moving: the robot has not come to rest since it last tracked.
-        windup: of the measured axes, None for an arm without.
-        path: the way home, None if the robot is not on it.
-        follow: poses handed in, None if the robot does not follow them.
-    """
-
-    tracker: tracker_state.TrackerState
-    control: control.ControlState
-    applied: Array
-    moving: bool = False
-    windup: WindupState | None = None
-    path: HomePath | None = None
-    follow: FollowedPoses | None = None
-
-
-class Outputs(Struct, frozen=True, eq=False):
-    """Result of one step.
-
-    Attributes:
-        k: number of the step.
-        command: absolute setpoints q_c, A1..A6 [rad] and E1 [m], within the limits.
-        digital_out: the tool's signals, bit 0 fix the screws, bit 1 release the wheel.
-        task_time: time of the task's clock [s], None before the start.
-        scenario: the class in force.
-        confidence: log odds of the change that was last evaluated.
-        events: of the classifier in this step.
-        target: x_c(k) = x_t(k, 0), the committed tcp in base.
-        sensed: x_f(k, 0) in base, None before the object was seen.
-        part: the object's estimated pose in base, None before it was seen.
-        speed: of the conveyor [m/s].
-        horizon: (n+1, 6) x_t in the nominal frame, None while the robot does not track.
-        contact: the tool is clamped to the object.
-        clamped: a retreat waits for the clamp, which is closed on the object or may be.
-        overdue: the clamp was not reported open in time, or no contact was found.
-        overload: the force exceeds the tool's limit.
-        finished: the task is over, or the retraction or the way home is.
-        held: why the command is not the desired one, None if it is.
-        ready: why the task cannot start, None if it can.
-        refused: number of pose measurements that the gate rejected.
-        object_left: the object is tracked and out of reach, or about to be.
-        waiting: why the tool waits before contact, None if it does not.
-        waited_s: how long it has waited before contact, in all [s]; None if it has not.
-        swinging_n: rms force of an oscillation in contact that softening does not make smaller [N];
-            None if there is none.
-        unanswered_n: mean force of a contact that is suspect and has answered none of its tests
-            [N]; None if there is none.
-    """
-
-    k: int
-    stamp_ns: int
-    command: tuple[float, ...]
-    digital_out: int
-    phase: Phase
-    task_time: float | None
-    scenario: str
-    scenario_state: str
-    confidence: float
-    events: tuple[tuple[str, str], ...]
-    target: Pose
-    sensed: Pose | None
-    part: Pose | None
-    speed: float | None
-    horizon: Array | None
-    contact: bool
-    clamped: bool
-    overdue: bool
-    overload: bool
-    finished: bool
-    held: str | None
-    ready: str | None
-    refused: int
-    object_left: bool = False
-    waiting: str | None = None
-    waited_s: float | None = None
-    swinging_n: float | None = None
-    unanswered_n: float | None = None
-
-
-def _joints(parameters: Parameters, robot: RobotSample) -> Array:
-    """Return a telegram's joints in the controller's order (axes,)."""
-    if parameters.controller.arm.linear_axis:
-        return np.array(robot.joints + robot.external[:1])
-    return np.array(robot.joints)
-
-
-def _tcp(parameters: Parameters, joints: Array, wound: WindupState | None = None) -> Array:
-    """Return the undeflected tcp (6,) in c for the motors' positions and their windup."""
-    placed = control.links_of(parameters.controller, joints, wound)
-    return parameters.controller.arm.tcp_in(parameters.tracker.reference.nominal, placed)
-
-
-def _wound(
-    parameters: Parameters, wound: WindupState | None, joints: Array | None
-) -> WindupState | None:
-    """Return the windup after what a telegram reports."""
-    if parameters.controller.windup is None or joints is None:
-        return wound
-    if wound is None:
-        return windup.begin(parameters.controller.windup, joints)
-    return windup.follow(parameters.controller.windup, wound, joints)
-
-
-def _axis(parameters: Parameters, joints: Array) -> float:
-    """Return the linear axis' position [m], 0 without one."""
-    return float(joints[6]) if parameters.controller.arm.linear_axis else 0.0
 
 
 def _in_base(reference: Reference, pose: Array) -> Pose:
@@ -175,12 +65,12 @@ def initial(
     Args:
         before: of an earlier session, of which the drift of the dead times is kept.
     """
-    joints = _joints(parameters, robot)
-    wound = _wound(parameters, None, joints)
-    pose = _tcp(parameters, joints, wound)
+    joints = joints_of(parameters, robot)
+    wound = windup_after(parameters, None, joints)
+    pose = tcp_of(parameters, joints, wound)
     drift = None if before is None else before.control.drift
     return StepState(
-        tracker=rest_state.at_rest(parameters.tracker, pose, _axis(parameters, joints)),
+        tracker=rest_state.at_rest(parameters.tracker, pose, axis_of(parameters, joints)),
         control=control.at_rest(parameters.controller, joints, pose, wound, drift),
         applied=joints,
         windup=wound,
@@ -192,10 +82,10 @@ def resumed(parameters: Parameters, state: StepState, robot: RobotSample) -> Ste
 
     The object's estimate and the progress of the task are kept.
     """
-    joints = _joints(parameters, robot)
-    wound = _wound(parameters, state.windup, joints)
-    pose = _tcp(parameters, joints, wound)
-    tracker = rest_state.rest(parameters.tracker, state.tracker, pose, _axis(parameters, joints))
+    joints = joints_of(parameters, robot)
+    wound = windup_after(parameters, state.windup, joints)
+    pose = tcp_of(parameters, joints, wound)
+    tracker = rest_state.rest(parameters.tracker, state.tracker, pose, axis_of(parameters, joints))
     drift = state.control.drift
     rest = control.at_rest(parameters.controller, joints, pose, wound, drift)
     return StepState(tracker, rest, joints, windup=wound)
@@ -208,29 +98,8 @@ def is_engaged(state: StepState, parameters: Parameters, robot: RobotSample) -> 
     """
     if not state.tracker.contact:
         return False
-    off = state.tracker.poses[0] - _tcp(parameters, _joints(parameters, robot))
+    off = state.tracker.poses[0] - tcp_of(parameters, joints_of(parameters, robot))
     return float(np.linalg.norm(off[:3])) <= REST_TOLERANCE
-
-
-class StepPlan(Struct, frozen=True, eq=False):
-    """Part of a step that does not depend on the delivery of the last command.
-
-    Attributes:
-        tracker: one step later; contact is still that of the step before.
-        horizon: x_t, None where the robot is to stand.
-        desired: command, None where the robot is to stand.
-        windup: of the measured axes.
-        path: the way home, None if the robot is not on it.
-        follow: poses handed in, None if the robot does not follow them.
-    """
-
-    tracker: tracker_state.TrackerState
-    report: tracker_state.Report
-    horizon: Horizon | None = None
-    desired: control.DesiredCommand | None = None
-    windup: WindupState | None = None
-    path: HomePath | None = None
-    follow: FollowedPoses | None = None
 
 
 def step(state: StepState, inputs: Inputs, parameters: Parameters) -> tuple[StepState, Outputs]:
@@ -249,8 +118,8 @@ def plan(state: StepState, inputs: Inputs, parameters: Parameters) -> StepPlan:
     Args:
         inputs: of which ``sent``, ``applied`` and ``pace`` are not read.
     """
-    joints = None if inputs.robot is None else _joints(parameters, inputs.robot)
-    wound = _wound(parameters, state.windup, joints)
+    joints = None if inputs.robot is None else joints_of(parameters, inputs.robot)
+    wound = windup_after(parameters, state.windup, joints)
     samples = _samples(inputs, parameters, joints, wound)
     retreat = inputs.order is MotionOrder.RETREAT
     if inputs.order is MotionOrder.HOLD or (retreat and _brakes(state)):
@@ -278,7 +147,10 @@ def _plan_home(
     settings, cycle_s = parameters.tracker, parameters.cycle_s
     path = state.path
     if path is None:
-        rail = _axis(parameters, state.control.limiter.position), _axis(parameters, parameters.home)
+        rail = (
+            axis_of(parameters, state.control.limiter.position),
+            axis_of(parameters, parameters.home),
+        )
         commit = max(settings.commit, settings.axis_steps)
         path = way_home.plan_path(
             state.tracker.poses[0], settings.reference.rest, rail, settings.task.home, commit
@@ -354,7 +226,7 @@ def finish(
         planned: by ``plan`` from the same state, inputs and parameters.
         inputs: ``sent``, ``applied`` and ``pace`` may differ from those of ``plan``.
     """
-    delivered = _follow_drift(_apply_delivery(state, inputs), inputs, parameters)
+    delivered = _follow_drift(lost_command.apply_delivery(state, inputs), inputs, parameters)
     horizon, desired = planned.horizon, planned.desired
     if horizon is None or desired is None:
         delivered = replace(delivered, windup=planned.windup)
@@ -372,11 +244,11 @@ def finish(
             is_open=inputs.robot is None or bool(inputs.robot.digital_in & task_clock.CLAMP_OPEN),
         )
         if retraction.is_interrupted(parameters.tracker, tracker):
-            state = _withdraw_again(delivered, tracker, planned.windup, parameters)
+            state = lost_command.withdraw_again(delivered, tracker, planned.windup, parameters)
             return state, _outputs(state, inputs, planned.report, None, "no reply", parameters)
         leaves = inputs.order is not MotionOrder.RETREAT
         if leaves and retraction.may_have_opened(parameters.tracker, state.tracker, tracker):
-            delivered, tracker, desired = _after_silence(
+            delivered, tracker, desired = lost_command.follow_silence(
                 state, delivered, tracker, desired, parameters, is_lost=is_lost
             )
         elif leaves and (is_lost or tracker.slowed):
@@ -384,7 +256,7 @@ def finish(
                 parameters.tracker, state.tracker, tracker, is_lost=is_lost
             )
             if is_paused:
-                delivered, desired = _paused(delivered, desired, is_lost=is_lost)
+                delivered, desired = lost_command.pause(delivered, desired, is_lost=is_lost)
     # A clamp may have closed unfelt: it is pulled as one that was felt. The distance is infinite
     # before a task is tracked.
     clamped = state.tracker.contact or state.tracker.clamped or abs(state.tracker.distance) < NEAR
@@ -407,107 +279,11 @@ def finish(
     return state, outputs
 
 
-def _after_silence(
-    before: StepState,
-    state: StepState,
-    tracker: tracker_state.TrackerState,
-    desired: control.DesiredCommand,
-    parameters: Parameters,
-    *,
-    is_lost: bool,
-) -> tuple[StepState, tracker_state.TrackerState, control.DesiredCommand]:
-    """Return state, tracker and desired command of a tool whose clamp may have opened in silence.
-
-    Until that is known it goes on with its object, as far behind as it is. One that is free keeps
-    what it is behind: a catch-up would swing it. One that is clamped catches up.
-
-    Args:
-        state: it, with the limiter at the command that the robot executes.
-    """
-    planned, limiter = desired.command, state.control.limiter
-    if planned is None:
-        return state, tracker, desired
-    going = desired.state.joints[0] - before.control.joints[0]
-    behind = limiter.position + going - planned
-    way = _tcp(parameters, planned + behind) - _tcp(parameters, planned)
-    share = retraction.kept_share(way)
-    if not retraction.is_reported(parameters.tracker, before.tracker, tracker, is_lost=is_lost):
-        tracker = replace(tracker, stood=max(before.tracker.stood, tracker.stood))
-        desired = control.DesiredCommand(desired.state, planned + share * behind)
-    elif Gate.WHEEL_RELEASED in tracker.passed:
-        way, behind = share * way, share * behind
-        axis = _axis(parameters, behind)
-        tracker = retraction.stay_behind(parameters.tracker, tracker, way, axis)
-        plan = control.displaced(desired.state, behind, way)
-        desired = control.DesiredCommand(plan, planned + behind)
-    if desired.command is not None:
-        # The way to another plan would count as the speed of this one.
-        last, speed = desired.command - going, going / parameters.cycle_s
-        limiter = replace(limiter, desired=last, desired_speed=speed)
-        state = replace(state, control=replace(state.control, limiter=limiter))
-    return state, tracker, desired
-
-
-def _paused(
-    state: StepState, desired: control.DesiredCommand, *, is_lost: bool
-) -> tuple[StepState, control.DesiredCommand]:
-    """Return the state and the desired command of a plan that pauses: the last one again.
-
-    Args:
-        state: with the limiter at the command that the robot executes.
-        desired: command of the plan that follows.
-        is_lost: the robot stands, for it did not get the last one; else it goes half the way.
-    """
-    limiter = state.control.limiter
-    command = limiter.desired
-    if is_lost:
-        limiter = command_limiter.at_rest(state.applied)
-    elif desired.command is not None:
-        command = 0.5 * (command + desired.command)
-    held = replace(state.control, limiter=limiter)
-    return replace(state, control=held), control.DesiredCommand(held, command)
-
-
-def _withdraw_again(
-    state: StepState,
-    tracker: tracker_state.TrackerState,
-    wound: WindupState | None,
-    parameters: Parameters,
-) -> StepState:
-    """Return the state of a retraction that begins again where the last command leads the robot."""
-    joints = state.applied
-    pose, axis = _tcp(parameters, joints, wound), _axis(parameters, joints)
-    tracker = retraction.withdraw_again(parameters.tracker, tracker, pose, axis)
-    rest = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
-    return StepState(tracker, rest, joints, moving=True, windup=wound)
-
-
-def _apply_delivery(state: StepState, inputs: Inputs) -> StepState:
-    """Return the state with its limiter at the command that the robot executes.
-
-    Without a command it holds, unless ``Inputs.pace`` says that it goes on.
-    """
-    if inputs.sent:
-        return replace(state, applied=state.control.limiter.position)
-    applied = state.applied if inputs.applied is None else np.array(inputs.applied)
-    gate, moving = command_limiter.held(state.control.limiter, applied), state.moving
-    if inputs.pace is not None:
-        # It moves even if the state was at rest: it has to brake first.
-        gate, moving = command_limiter.moving(applied, *map(np.array, inputs.pace)), True
-        if state.moving:
-            # Else the way to the next desired setpoint would count as its speed, as in ``held``.
-            led = state.control.limiter
-            gate = replace(gate, desired=led.desired, desired_speed=led.desired_speed)
-    return replace(
-        state, applied=applied, control=replace(state.control, limiter=gate), moving=moving
-    )
-
-
 def _follow_drift(state: StepState, inputs: Inputs, parameters: Parameters) -> StepState:
     """Return the state with the drift of the dead times after the last telegram."""
     if parameters.controller.drift is None:
         return state
-    reported = None if inputs.robot is None else _joints(parameters, inputs.robot)
+    reported = None if inputs.robot is None else joints_of(parameters, inputs.robot)
     after = control.follow_drift(parameters.controller, state.control, state.applied, reported)
     return replace(state, control=after)
 
@@ -521,10 +297,10 @@ def _brake(
     braked = control.stop(parameters.controller, state.control)
     is_standing = command_limiter.is_standing(braked.limiter)
     joints, wound = braked.limiter.position, state.windup
-    pose = _tcp(parameters, joints, wound)
+    pose = tcp_of(parameters, joints, wound)
     if is_standing:
         braked = control.at_rest(parameters.controller, joints, pose, wound, state.control.drift)
-    tracker = rest_state.rest(parameters.tracker, tracker, pose, _axis(parameters, joints))
+    tracker = rest_state.rest(parameters.tracker, tracker, pose, axis_of(parameters, joints))
     return StepState(tracker, braked, state.applied, moving=not is_standing, windup=wound)
 
 
@@ -541,7 +317,7 @@ def _brakes(state: StepState) -> bool:
 def _samples(
     inputs: Inputs, parameters: Parameters, joints: Array | None, wound: WindupState | None
 ) -> tracker_state.StepSamples:
-    tcp = None if joints is None else _tcp(parameters, joints, wound)
+    tcp = None if joints is None else tcp_of(parameters, joints, wound)
     return tracker_state.StepSamples(
         stamp_ns=inputs.stamp_ns,
         tcp=tcp,

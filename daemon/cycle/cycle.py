@@ -18,9 +18,9 @@ from typing import Any
 from msgspec.structs import replace
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import StepState
 from linemate.daemon.cycle import states
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.resting import STILL, RestingStepper
@@ -97,7 +97,7 @@ class Cycle(RestingStepper):
         self.last_refusal: str | None = None
         self._is_running = self._was_preparing = False
         self._sent_ahead: Axes | None = None  # command of a reply that preceded on_telegram
-        self._state_at_begin: stepping.StepState | None = None
+        self._state_at_begin: StepState | None = None
         self._arrived: RobotSample | None = None  # the last telegram that was followed
 
     def on_telegram(

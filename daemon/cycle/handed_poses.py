@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.followed_poses import Chunk, ChunkError, FollowedPoses
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import StepState
 
 MOST_CHUNKS = 8  # that wait
 STEP_CHUNKS = 1  # that one step takes; a chunk costs about 1 ms
@@ -25,7 +26,7 @@ class HandedPoses:
         self._ahead: FollowedPoses | None = None  # with all chunks that wait
 
     def add(
-        self, state: stepping.StepState, chunk: Chunk, stamp_ns: int, parameters: Parameters
+        self, state: StepState, chunk: Chunk, stamp_ns: int, parameters: Parameters
     ) -> str | None:
         """Queue a chunk; return why it is refused, None if it is not.
 

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.daemon.cycle.states import State
 
 _FOLLOWING: Final = frozenset({State.TRACK.value, State.CONTACT.value})

@@ -13,7 +13,7 @@ from dataclasses import replace
 from msgspec import Struct, structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.core.step import Outputs, Pose
+from linemate.daemon.core.step_state import Outputs, Pose
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle import causes, states, watch
 from linemate.daemon.cycle.causes import Change, Evidence

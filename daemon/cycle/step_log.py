@@ -2,9 +2,9 @@
 
 from msgspec import Struct
 
-from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import Outputs, StepState
 
 
 class LogEntry(Struct, frozen=True):
@@ -19,7 +19,7 @@ class LogEntry(Struct, frozen=True):
     counter: int | None
     state: str
     inputs: Inputs
-    outputs: stepping.Outputs
-    before: stepping.StepState | None = None
-    after: stepping.StepState | None = None
+    outputs: Outputs
+    before: StepState | None = None
+    after: StepState | None = None
     parameters: Parameters | None = None

@@ -18,6 +18,7 @@ from linemate.daemon.core import wrench_frame
 from linemate.daemon.core.control.command_limiter import LimiterState
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import Outputs, StepPlan, StepState
 from linemate.daemon.core.tracking.estimation.tool_weight import carried_weights
 from linemate.daemon.core.tracking.touch.touch_profile import force_limit
 from linemate.daemon.cycle import states
@@ -46,7 +47,7 @@ class PreparedStep(Struct, frozen=True):
 
     reply: PreparedReply
     entry: LogEntry
-    plan: stepping.StepPlan
+    plan: StepPlan
 
 
 class FollowingCheck:
@@ -156,9 +157,9 @@ class Stepper:
         self._poses = HandedPoses()
         self._link = link
         self._log: deque[LogEntry] = deque(maxlen=LONGEST_LOG)
-        self._state: stepping.StepState | None = None
-        self._before: stepping.Outputs | None = None  # of the step before ``last``
-        self._plan: stepping.StepPlan | None = None  # of ``last``, None if the session is new
+        self._state: StepState | None = None
+        self._before: Outputs | None = None  # of the step before ``last``
+        self._plan: StepPlan | None = None  # of ``last``, None if the session is new
         self._given: LogEntry | None = None  # the last step that a reply carried
         self._ready: PreparedStep | None = None
         self._robot: RobotSample | None = None  # for the next step
@@ -216,7 +217,7 @@ class Stepper:
         """Whether the robot is at rest and nothing is about to move it."""
         return self.operating.rests and (self._state is None or not self._state.moving)
 
-    def trial(self) -> tuple[stepping.StepState, Inputs] | None:
+    def trial(self) -> tuple[StepState, Inputs] | None:
         """Return the state and the inputs of the last step, to try parameters on."""
         if self.last is None or self.last.before is None:
             return None
@@ -258,7 +259,7 @@ class Stepper:
         self._state = self._plan = self._ready = None
         return True
 
-    def _finish_again(self, last: LogEntry, plan: stepping.StepPlan, counter: int) -> LogEntry:
+    def _finish_again(self, last: LogEntry, plan: StepPlan, counter: int) -> LogEntry:
         """Finish the last step again, with the robot's position from the telegram.
 
         The timer has made the step of this telegram, or of a later one. One more step than the
@@ -297,7 +298,7 @@ class Stepper:
         )
         self._ready = PreparedStep(self._reply(entry), entry, plan)
 
-    def _opened(self) -> stepping.StepState:
+    def _opened(self) -> StepState:
         assert self._state is not None  # noqa: S101 - a session is open
         return self._state
 
@@ -361,9 +362,7 @@ class Stepper:
             # A clock that stood dates no sample in the cycles that it has not counted.
             self._step_unsent(self._opened(), max(due_ns, last_ns), is_dated=due_ns > last_ns)
 
-    def _step_unsent(
-        self, state: stepping.StepState, stamp_ns: int, *, is_dated: bool = True
-    ) -> None:
+    def _step_unsent(self, state: StepState, stamp_ns: int, *, is_dated: bool = True) -> None:
         """Make the step of a cycle that gets no corrections.
 
         Args:
@@ -379,14 +378,14 @@ class Stepper:
 
     def _step(
         self,
-        state: stepping.StepState,
+        state: StepState,
         stamp_ns: int,
         *,
         telegram: bool,
         answering: bool = False,
         counter: int | None = None,
         is_dated: bool = True,
-    ) -> tuple[LogEntry, stepping.StepPlan]:
+    ) -> tuple[LogEntry, StepPlan]:
         """Make one sampling step: operating state first, then the pure step."""
         samples = self._drain_samples(state) if is_dated else NO_SAMPLES
         if self._new_parameters is not None:
@@ -440,7 +439,7 @@ class Stepper:
         self._add(entry, plan)
         return reply
 
-    def _drain_samples(self, state: stepping.StepState) -> DrainedSamples:
+    def _drain_samples(self, state: StepState) -> DrainedSamples:
         """Return the accepted samples since the last step; their force is judged by the way."""
         settings = self.parameters.tracker.settings
         moving = self.machine.state in states.MOVING
@@ -509,7 +508,7 @@ class Stepper:
             signals |= is_set << watch.in_sync_bit
         return self._link.prepare(outputs.command, origin, signals)
 
-    def _add(self, entry: LogEntry, plan: stepping.StepPlan) -> None:
+    def _add(self, entry: LogEntry, plan: StepPlan) -> None:
         """Remember a step, for the next decision and for the log."""
         self._before = None if self.last is None else self.last.outputs
         self.last, self._plan = entry, plan

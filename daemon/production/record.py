@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL
+from linemate.daemon.core.step_state import FIX_SCREWS, RELEASE_WHEEL
 from linemate.daemon.core.tracking.estimation.tool_weight import carried_weights
 from linemate.daemon.core.tracking.tracker_state import TrackerState
 from linemate.daemon.core.wrench_frame import each_at_tcp

@@ -17,7 +17,7 @@ import msgpack
 import numpy as np
 from msgspec import Struct
 
-from linemate.daemon.core.step import StepState
+from linemate.daemon.core.step_state import StepState
 
 VERSION = 1
 
@@ -31,7 +31,7 @@ _PARTS = {
     "control.limits:GateState": "control.command_limiter:LimiterState",
     "control.windup:WindupState": "control.windup:WindupState",
     "followed_poses:FollowedPoses": "followed_poses:FollowedPoses",
-    "step:State": "step:StepState",
+    "step:State": "step_state:StepState",
     "tracking.bolt_search:BoltSearch": "tracking.touch.bolt_search:BoltSearch",
     "tracking.classifier_bank:BankState": "tracking.classifiers.bank_model:BankState",
     "tracking.classifier_imm:ImmState": "tracking.classifiers.classifier_imm:ImmState",

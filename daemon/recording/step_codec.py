@@ -16,7 +16,7 @@ import numpy as np
 from fastcrc import crc64
 
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.protocol.stamped_samples import (
     CameraSample,
     DistanceSample,

@@ -13,7 +13,7 @@ from typing import Any, Final
 import msgpack
 
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import StepState
+from linemate.daemon.core.step_state import StepState
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.recording import snapshot, step_codec, viewer_messages
 from linemate.daemon.recording.format import LAYOUT, Item, ItemKind

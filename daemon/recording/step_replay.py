@@ -23,6 +23,7 @@ from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core import parameters as compiling
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.parameters import Parameters
+from linemate.daemon.core.step_state import Outputs, StepState
 from linemate.daemon.core.tracking.classifiers.onset_bank import OnsetBank
 from linemate.daemon.core.tracking.task import TaskFile
 from linemate.daemon.recording import snapshot, step_codec
@@ -125,7 +126,7 @@ def replay_outputs(
     pieces: Iterable[Piece],
     overrides: Overrides | None = None,
     change: Callable[[Parameters], Parameters] | None = None,
-) -> Iterator[tuple[StepRecord, stepping.Outputs, Parameters]]:
+) -> Iterator[tuple[StepRecord, Outputs, Parameters]]:
     """Yield each step that can be replayed, its outputs and parameters.
 
     The outputs have what a recording has not: the horizon.
@@ -212,14 +213,14 @@ class _Replayer:
     def __init__(
         self, overrides: Overrides, change: Callable[[Parameters], Parameters] | None = None
     ) -> None:
-        self.outputs: stepping.Outputs | None = None
+        self.outputs: Outputs | None = None
         self.parameters: Parameters | None = None
         self._overrides = overrides
         self._change = change
         self._cell: tuple[TaskFile, str] | None = None
         self._written: Settings | None = None
         self._built_from: tuple[Settings, float] | None = None
-        self._state: stepping.StepState | None = None
+        self._state: StepState | None = None
         self._next: int | None = None
         self._recorded: StateBefore | None = None
 
@@ -336,7 +337,7 @@ class _Replayer:
         self._built_from = source
 
 
-def _fits(state: stepping.StepState, parameters: Parameters) -> bool:
+def _fits(state: StepState, parameters: Parameters) -> bool:
     """Return whether a state has the shapes that these parameters give."""
     tracker, control = state.tracker, state.control
     joints = control.limiter.position

@@ -20,7 +20,7 @@ from linemate.protocol.stamped_samples import AXES
 
 if TYPE_CHECKING:  # the writer process must not import daemon.core
     from linemate.daemon.core.inputs import Inputs
-    from linemate.daemon.core.step import Outputs
+    from linemate.daemon.core.step_state import Outputs
 
 BASE: Final = "base"
 POSES: Final = {"target": "tcp", "sensed": "tcp_sensed", "part": "hub"}  # output: frame

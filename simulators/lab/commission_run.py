@@ -20,7 +20,7 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.control import kinematics
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.daemon.core.tracking.task import Phase
 from linemate.daemon.cycle.cycle import Cycle
 from linemate.daemon.cycle.sensing.samples import SensorQueues

@@ -19,7 +19,8 @@ from linemate.daemon.core import rotations
 from linemate.daemon.core.horizon import Array
 from linemate.daemon.core.inputs import Inputs, MotionOrder
 from linemate.daemon.core.parameters import Parameters, build
-from linemate.daemon.core.step import Outputs, StepState, initial, step
+from linemate.daemon.core.step import initial, step
+from linemate.daemon.core.step_state import Outputs, StepState
 from linemate.daemon.core.tracking.task import Phase, TaskFile
 from linemate.protocol.stamped_samples import (
     CameraSample,

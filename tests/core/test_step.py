@@ -12,7 +12,8 @@ from step_runs import HOME, Assembly, C, P, assert_within, text, tracking
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL, initial, step
+from linemate.daemon.core.step import initial, step
+from linemate.daemon.core.step_state import FIX_SCREWS, RELEASE_WHEEL
 from linemate.daemon.core.tracking.task import Phase
 from linemate.protocol.stamped_samples import CameraSample, DistanceSample, WrenchSample
 

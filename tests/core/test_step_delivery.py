@@ -8,7 +8,8 @@ from msgspec.structs import replace
 from step_runs import Assembly, P, text, tracking
 
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import StepState, finish, plan, step
+from linemate.daemon.core.step import finish, plan, step
+from linemate.daemon.core.step_state import StepState
 from linemate.daemon.recording import snapshot
 from linemate.protocol.stamped_samples import DistanceSample
 

@@ -10,7 +10,8 @@ from step_runs import Assembly, P, tracking
 
 from linemate.daemon.core import rotations
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import FIX_SCREWS, step
+from linemate.daemon.core.step import step
+from linemate.daemon.core.step_state import FIX_SCREWS
 from linemate.daemon.core.tracking import observation, tracker, tracker_state
 from linemate.daemon.core.tracking.estimation import bolt_corrections, contact_compliance
 from linemate.daemon.core.tracking.estimation import estimate as estimation

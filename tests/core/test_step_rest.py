@@ -11,7 +11,8 @@ from step_runs import Assembly, P, assert_within, tracking
 from linemate.daemon.core import rotations
 from linemate.daemon.core import step as stepping
 from linemate.daemon.core.inputs import MotionOrder
-from linemate.daemon.core.step import FIX_SCREWS, RELEASE_WHEEL, Outputs, step
+from linemate.daemon.core.step import step
+from linemate.daemon.core.step_state import FIX_SCREWS, RELEASE_WHEEL, Outputs
 from linemate.daemon.core.tracking.estimation.force_use import is_force_used
 from linemate.daemon.core.tracking.goal import rest_state
 from linemate.daemon.core.tracking.task import Phase

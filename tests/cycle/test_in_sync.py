@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from linemate.daemon.config.task_file import Task
 from linemate.daemon.config.watch_settings import WatchSettings
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.daemon.cycle.in_sync import is_in_sync
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry

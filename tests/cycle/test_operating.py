@@ -5,7 +5,7 @@ from cell import World, parameters
 from msgspec import structs
 
 from linemate.daemon.config.watch_settings import WatchSettings
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.daemon.cycle.operating import Operating, Situation
 from linemate.daemon.cycle.sensing.samples import SensorQueues
 from linemate.daemon.cycle.sensing.sensor_health import CONTRADICTIONS

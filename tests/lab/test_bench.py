@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from linemate.daemon.core.step import StepState, step
+from linemate.daemon.core.step import step
+from linemate.daemon.core.step_state import StepState
 from linemate.simulators.harness import host
 from linemate.simulators.lab.bench import bench
 from linemate.simulators.lab.bench.bench import BenchJob, StepTrace, interleaved

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linemate.daemon.core.inputs import Inputs, MotionOrder
-from linemate.daemon.core.step import Outputs, StepState, step
+from linemate.daemon.core.step import step
+from linemate.daemon.core.step_state import Outputs, StepState
 from linemate.daemon.recording import snapshot
 from linemate.daemon.recording.snapshot import SnapshotError
 from linemate.daemon.recording.step_codec import decode, differences, encode

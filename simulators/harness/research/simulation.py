@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import Outputs
+from linemate.daemon.core.step_state import Outputs
 from linemate.daemon.recording import reader, step_codec, step_replay
 from linemate.daemon.recording.format import DamageReport, UnreadableRecordingError
 from linemate.daemon.recording.step_codec import StepRecord

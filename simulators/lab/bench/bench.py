@@ -24,7 +24,8 @@ from typing import Any, Final
 
 from linemate.daemon.core.inputs import Inputs
 from linemate.daemon.core.parameters import Parameters
-from linemate.daemon.core.step import StepState, initial, step
+from linemate.daemon.core.step import initial, step
+from linemate.daemon.core.step_state import StepState
 from linemate.daemon.cycle.states import State
 from linemate.daemon.cycle.step_log import LogEntry
 from linemate.daemon.operator import doctor
