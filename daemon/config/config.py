@@ -13,10 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from linemate.daemon.config import documents, files, overlays, task_file
+from linemate.daemon.config import documents, overlays, task_file
 from linemate.daemon.config.controller_section import ControllerFile, default_port
 from linemate.daemon.config.documents import FileError, YamlDocument
-from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.named_files import NamedFiles
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.settings import (
@@ -120,10 +119,7 @@ def load(path: Path, extra_overlays: Sequence[Path] = (), *, saved: bool = True)
     Raises:
         FileError: every error at once.
     """
-    try:
-        data = files.read(path, documents.MAX_BYTES)
-    except UnreadableError as error:
-        raise FileError([f"{path}:1:1: (file): {error}"]) from error
+    data = documents.content(path)
     document = documents.read(data, str(path))
     named = NamedFiles(path.parent, document.value)
     try:

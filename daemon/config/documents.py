@@ -8,6 +8,7 @@ Invariants:
 """
 
 import math
+import pathlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -15,6 +16,8 @@ from typing import Any, TypeVar
 
 import yaml
 
+from linemate.daemon.config import files
+from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.reading import accepted
 from linemate.daemon.config.reading.complaints import Complaint, Path, Place
 
@@ -95,6 +98,18 @@ def spelled(path: Path) -> str:
     for part in path:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text or "(file)"
+
+
+def content(path: pathlib.Path) -> bytes:
+    """Return a document's bytes.
+
+    Raises:
+        FileError: it cannot be read.
+    """
+    try:
+        return files.read(path, MAX_BYTES)
+    except UnreadableError as error:
+        raise FileError([f"{path}:1:1: (file): {error}"]) from error
 
 
 def read(data: bytes, name: str) -> YamlDocument:

@@ -19,7 +19,6 @@ import yaml
 from linemate.daemon.config import documents, files, task_file, timeouts
 from linemate.daemon.config import settings_tree as tree
 from linemate.daemon.config.documents import FileError, YamlDocument
-from linemate.daemon.config.files import UnreadableError
 from linemate.daemon.config.reading.complaints import Complaint
 from linemate.daemon.config.section_checks import DRIFT_LEARNED, PlainValues, drifts
 from linemate.daemon.config.settings import Config
@@ -164,11 +163,7 @@ def _without_task(value: Any) -> Any:
 
 
 def _read(path: Path) -> YamlDocument:
-    try:
-        data = files.read(path, documents.MAX_BYTES)
-    except UnreadableError as error:
-        raise FileError([f"{path}:1:1: (file): {error}"]) from error
-    return documents.read(data, str(path))
+    return documents.read(documents.content(path), str(path))
 
 
 def _complaints(over: YamlDocument, merged: Any) -> list[Complaint]:

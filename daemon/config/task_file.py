@@ -75,10 +75,7 @@ def load(path: Path) -> Task:
     Raises:
         FileError: every error of the file at once, its URDF's absence among them.
     """
-    try:
-        data = files.read(path, documents.MAX_BYTES)
-    except UnreadableError as error:
-        raise FileError([f"{path}:1:1: (file): {error}"]) from error
+    data = documents.content(path)
     urdf: list[str] = []
 
     def check(value: Any) -> Iterator[Complaint]:

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from linemate.daemon.config import documents, files
+from linemate.daemon.config import documents
 from linemate.daemon.config.documents import FileError
-from linemate.daemon.config.files import UnreadableError
 from linemate.simulators.devices.worlds import MUJOCO, OWN
 from linemate.simulators.harness.cell.families import EGM
 
@@ -33,11 +32,7 @@ def load(path: Path = SHIPPED[OWN]) -> dict[str, Any]:
     Raises:
         FileError: no file, no YAML, or a section that is none of a daemon's.
     """
-    try:
-        data = files.read(path, documents.MAX_BYTES)
-    except UnreadableError as error:
-        raise FileError([f"{path}:1:1: (file): {error}"]) from error
-    document = documents.read(data, str(path))
+    document = documents.read(documents.content(path), str(path))
     lines = document.lines(document.complaints)
     value = document.value if isinstance(document.value, dict) else {}
     lines += [f"{path}:1:1: {key}: unknown section" for key in value if key not in SECTIONS]
