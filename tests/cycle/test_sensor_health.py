@@ -101,6 +101,20 @@ def test_a_jump_near_the_object_is_not_believed_because_time_has_passed() -> Non
     assert conveyor.run(100)[-1]
 
 
+def test_a_jump_stays_out_until_it_is_taken_back_though_a_stop_brings_it_where_it_headed() -> None:
+    conveyor = Conveyor(conditions=APPROACHING)
+    conveyor.run(100)
+    conveyor.place += 0.03
+    speeds = [max(0.0, SPEED - 0.104 * k * PERIOD_NS * 1e-9) for k in range(110)]
+    assert not any(conveyor.shows(None, speed) for speed in speeds)
+    # Where the sensor is right again at the place that it headed for, it is back.
+    conveyor = Conveyor(conditions=APPROACHING)
+    conveyor.run(100)
+    for _ in range(20):
+        conveyor.shows(conveyor.place + SPEED * PERIOD_NS * 1e-9 + 0.03)
+    assert conveyor.run(GOOD)[-1]
+
+
 def test_a_sensor_whose_deviation_is_not_known_yet_may_jump_by_30_mm() -> None:
     conveyor = Conveyor(conditions=APPROACHING)
     conveyor.run(OUTVOTING)

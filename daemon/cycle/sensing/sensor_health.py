@@ -33,6 +33,7 @@ LEARNED = 20
 VARIANCE_GAIN = 0.05  # of their mean square
 UNITS = 2.0  # resolution steps
 EXCLUDED_S = 0.05  # what acceleration adds grows no longer for an excluded sensor [s]
+BACK = 0.5  # share of a jump that counts as the jump back
 FORGOTTEN_NS = 2_000_000_000  # forget a heading that nothing has agreed with for so long [ns]
 OUTVOTING = 3  # samples whose median is taken: one outlier has no effect
 
@@ -131,14 +132,27 @@ class Health(Generic[Sample]):
 Trusted = tuple[int, float]
 """Stamp [ns] and distance [m] of an accepted sample."""
 
+Astray = tuple[int, float, float]
+"""Stamp [ns] and distance [m] of a refused sample, and how far the sensor has jumped [m]."""
+
 
 class DistanceHealth(Health[DistanceSample]):
     """Check of the distance sensor: no jump, no stop without slowing down, no way backwards."""
 
-    __slots__ = ("_changed_ns", "_learned", "_quick", "_square", "_trusted", "_unit", "_value")
+    __slots__ = (
+        "_astray",
+        "_changed_ns",
+        "_learned",
+        "_quick",
+        "_square",
+        "_trusted",
+        "_unit",
+        "_value",
+    )
 
     def __init__(self) -> None:
         super().__init__()
+        self._astray: Astray | None = None
         self._trusted: deque[Trusted] = deque(maxlen=256)
         self._value: float | None = None
         self._changed_ns = 0
@@ -152,6 +166,7 @@ class DistanceHealth(Health[DistanceSample]):
         trusted, stamp_ns, position = self._trusted, sample.stamp_ns, sample.position
         if trusted and stamp_ns - trusted[-1][0] > FORGOTTEN_NS:
             trusted.clear()
+            self._astray = None
         lately = None
         if len(trusted) >= OUTVOTING:
             lately = _middle(trusted[-3], trusted[-2], trusted[-1])
@@ -165,9 +180,13 @@ class DistanceHealth(Health[DistanceSample]):
         if lately is not None:
             passed = (stamp_ns - lately[0]) * 1e-9
             off = position - lately[1] - (speed or 0.0) * passed
+            jumped = self._jumped(sample, speed or 0.0)
             if abs(off) > self._largest_jump(passed, speed, conditions):
-                fault = f"it jumped by {off:.3f} m"
-            elif speed is not None:
+                fault, jumped = f"it jumped by {off:.3f} m", max(off, jumped, key=abs)
+            elif jumped and conditions.last_approach:
+                fault = f"it jumped by {jumped:.3f} m"
+            self._astray = (stamp_ns, position, jumped) if fault else None
+            if fault is None and speed is not None:
                 self._learn(off)
         if conditions.moving and speed is not None and speed < -MOVING:
             what = f"it runs backwards at {speed:.3f} m/s; check the sign of the DBC's factor"
@@ -183,6 +202,20 @@ class DistanceHealth(Health[DistanceSample]):
         """Update the variance of accepted samples about their heading by one way [m]."""
         self._learned = min(self._learned + 1, LEARNED)
         self._square += max(VARIANCE_GAIN, 1.0 / self._learned) * (off * off - self._square)
+
+    def _jumped(self, sample: DistanceSample, speed: float) -> float:
+        """Return how far the sensor has jumped and not back again [m], 0 if it has not.
+
+        A conveyor that brakes brings a wrong distance to where the right one was heading.
+
+        Args:
+            speed: at which the distance was heading on [m/s].
+        """
+        if self._astray is None:
+            return 0.0
+        stamp_ns, position, jumped = self._astray
+        step = sample.position - position - speed * (sample.stamp_ns - stamp_ns) * 1e-9
+        return jumped if step * jumped > -BACK * jumped * jumped else 0.0
 
     def _largest_jump(self, passed: float, speed: float | None, conditions: Conditions) -> float:
         """Return how far a sample may be from where the distance was heading [m].
