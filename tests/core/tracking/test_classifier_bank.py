@@ -713,3 +713,19 @@ def test_a_start_that_hesitates_in_contact_is_no_stop(seed: int) -> None:
     stops = [t for t, kind, what in events if (kind, what) == ("stop", "confirmed")]
     assert len(stops) == 1
     assert stops[0] < 1.0
+
+
+def test_a_stop_that_no_reading_confirms_ends_and_is_not_forgotten() -> None:
+    steps = measured(Truth(1.5, ((0.95, -STOP),)), seed=3)
+    state = BANK.initial(steps[0][0].value)
+    for rows in steps[1:]:
+        state = BANK.advance(state, rows[:1], T0)
+        if bank_prediction.hypothesis_weights(BANK, state)[0] > 0.99:
+            break
+    assert state.motion is Motion.RUNNING
+    now, places = np.zeros(1), []
+    for _ in range(round(2.5 / T0)):
+        state = BANK.advance(state, [], T0)
+        places.append(float(BANK.predict_positions(state, now)[0]))
+    assert np.diff(places).min() > -1e-4
+    assert places[-1] - places[0] < 0.6 * NOMINAL**2 / STOP

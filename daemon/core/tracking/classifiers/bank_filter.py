@@ -107,7 +107,9 @@ def predict(model: BankModel, state: BankState, dt: float) -> BankState:
     is_felt = state.contact and not state.is_firm
     if state.age > SETTLING or (is_felt and float(P[V, V]) < KNOWN**2):
         onsets = model.onsets_now(state)
-        changes = onset_bank.propagate(changes, onsets, F, dt, model.bank.longest_onset)
+        # Without readings the evidence stays: a stop that was forgotten led a blind tool on.
+        longest = model.bank.longest_onset if state.readings.size else math.inf
+        changes = onset_bank.propagate(changes, onsets, F, dt, longest)
         if state.contact:
             onsets, longest = model.impulse_onsets, model.impulse.longest_onset
             impulses = onset_bank.propagate(impulses, onsets, F, dt, longest)

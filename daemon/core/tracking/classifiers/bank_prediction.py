@@ -155,8 +155,15 @@ def ramp_estimate(model: BankModel, state: BankState) -> Array:
 
 
 def _after_change(state: BankState) -> Array:
-    """Return the estimate (10,) if the class has changed: ``merge_moments`` without the spread."""
+    """Return the estimate (10,) if the class has changed: ``merge_moments`` without the spread.
+
+    A stop ends at speed 0. Without a reading that confirms it, its way went back from there.
+    """
     x: Array = state.x - state.changes.error.dot(state.change.weights * state.change.amplitudes)
+    speed, acceleration = float(x[V]), float(x[ACCELERATION])
+    if state.motion is Motion.RUNNING and speed < 0.0 > acceleration:
+        x[Y] -= 0.5 * speed * speed / acceleration
+        x[V] = x[ACCELERATION] = 0.0
     return x
 
 

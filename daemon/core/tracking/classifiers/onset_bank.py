@@ -152,8 +152,10 @@ def propagate(bank: OnsetBank, onsets: OnsetBank, F: Array, dt: float, longest: 
     if len(bank) and bank.sums[2, 0] < (stride - 0.5) * dt:
         error, sums = F.dot(bank.error), bank.sums.copy()
     else:
-        oldest = (round(longest / (stride * dt)) * stride - 0.5) * dt
-        keep = int(bank.sums[2].searchsorted(oldest))
+        keep = len(bank)
+        if longest < math.inf:
+            oldest = (round(longest / (stride * dt)) * stride - 0.5) * dt
+            keep = int(bank.sums[2].searchsorted(oldest))
         error = F.dot(np.concatenate((onsets.error, bank.error[:, :keep]), axis=1))
         sums = np.concatenate((onsets.sums, bank.sums[:, :keep]), axis=1)
         if shares is not None:
