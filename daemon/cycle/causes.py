@@ -209,6 +209,12 @@ def _position(_: Signals, evidence: Evidence) -> Explanation:
             f"{_heard('camera', evidence)}, {_heard('distance', evidence)}",
             "Check the camera's pose and clock, object.nominal, and the axes' signs in the URDF.",
         )
+    if facts.distance_lost:
+        return (
+            "the distance sensor alone shows the object in the last approach: "
+            f"{_heard('distance', evidence)}",
+            "Check the sensor's target, mount and cable.",
+        )
     limit = watch.largest_position_age(settings, evidence.counts.state, facts)
     if _age_s(facts.position_ns, facts.stamp_ns) <= limit:
         # The newest is young enough, so the older of the two is the trouble.

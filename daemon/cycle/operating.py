@@ -253,8 +253,8 @@ class Operating:
         # Nor does a motion begin with it: it was started and held in the next cycle.
         contradicted = state in SEEING and samples.camera_health.contradicts and situation.sensed
         # In the last approach the camera goes blind: the distance sensor alone shows the object.
-        lost = situation.last_approach and samples.distance_health.reason is not None
-        contradicted = contradicted or (state is State.TRACK and lost)
+        lost = state is State.TRACK and situation.last_approach
+        lost = lost and samples.distance_health.reason is not None
         has_no_end = last.swinging_n is not None or last.unanswered_n is not None
         return watch.Facts(
             stamp_ns=stamp_ns,
@@ -268,6 +268,7 @@ class Operating:
             wrench_ns=samples.wrench.newest_ns,
             wrench_expected=self._wrench_expected,
             contradicted=contradicted,
+            distance_lost=lost,
             gap_m=_gap(last, period, state),
             following_error=situation.following_error is not None,
             ready=last.ready is None and not situation.settling,

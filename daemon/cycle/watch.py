@@ -35,6 +35,7 @@ class Facts(Struct, frozen=True):
         wrench_ns: arrival of the newest force [ns], or None.
         wrench_expected: there is a force-torque sensor.
         contradicted: the sensors of the position contradict each other.
+        distance_lost: the distance sensor is excluded where it alone shows the object.
         gap_m: that a stop would leave between tool and object [m]; None while it is not seen, and
             in FAULT while the object stands.
         following_error: an axis is beyond the tolerance of its commands.
@@ -58,6 +59,7 @@ class Facts(Struct, frozen=True):
     wrench_ns: int | None = None
     wrench_expected: bool = True
     contradicted: bool = False
+    distance_lost: bool = False
     gap_m: float | None = None
     following_error: bool = False
     ready: bool = False
@@ -223,7 +225,7 @@ def _signals(watch: Watch, facts: Facts, settings: WatchSettings) -> Signals:
     both = coasting or facts.slower_ns is None
     both = both or _age_s(facts.slower_ns, stamp_ns) <= settings.one_sensor_s
     position_fresh = _age_s(facts.position_ns, stamp_ns) <= oldest_s and both
-    position_fresh = position_fresh and not facts.contradicted
+    position_fresh = position_fresh and not (facts.contradicted or facts.distance_lost)
     wrench_fresh = _age_s(facts.wrench_ns, stamp_ns) <= settings.wrench_s
     wrench_fresh = wrench_fresh or not facts.wrench_expected
     fault = facts.fault or watch.following_error >= settings.cycles_astray

@@ -220,6 +220,19 @@ def test_an_excluded_sensor_is_named_with_what_it_was_excluded_for() -> None:
     assert "Check the link of" in text
 
 
+def test_a_distance_that_is_lost_in_the_last_approach_is_no_contradiction_of_the_camera() -> None:
+    samples = queues()
+    samples.distance_health.exclude(NOW_NS, "it jumped by 0.013 m")
+    facts = watch.Facts(NOW_NS, telegram=True, distance_lost=True)
+    stale = replace(QUIET, position_fresh=False)
+    row = deciding_row(Machine(State.TRACK), stale)
+    assert row is not None
+    known = evidence(sensors=samples.facts(), facts=facts)
+    text = causes.cause(row, Machine(State.TRACK), stale, known)
+    assert "distance excluded (it jumped by 0.013 m) for 0.02 s" in text
+    assert "camera" not in text
+
+
 def test_a_latched_fault_is_reported_at_once_and_again_where_it_leads(app: App) -> None:
     operating, situation = app.cycle.operating, Situation(None, None, None, False, True)
     operating.machine = Machine(State.RETREAT)

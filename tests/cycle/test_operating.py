@@ -44,6 +44,24 @@ def test_a_camera_that_contradicts_ends_no_contact_and_no_retreat(
     assert not is_contradicted(last, state, refused=CONTRADICTIONS)
 
 
+@pytest.mark.parametrize(
+    ("state", "last_approach", "is_lost"),
+    [(State.TRACK, True, True), (State.TRACK, False, False), (State.CONTACT, True, False)],
+)
+def test_an_excluded_distance_ends_the_last_approach_alone(
+    last: Outputs, state: State, last_approach: bool, is_lost: bool
+) -> None:
+    operating = Operating(WatchSettings(), 0.012, wrench_expected=False)
+    operating.machine = Machine(state)
+    samples = SensorQueues()
+    samples.distance_health.exclude(NOW_NS, "it jumped by 0.013 m")
+    situation = Situation(
+        last, None, None, settling=False, sensed=True, last_approach=last_approach
+    )
+    facts = operating._facts(NOW_NS, samples, situation, telegram=True)
+    assert (facts.distance_lost, facts.contradicted) == (is_lost, False)
+
+
 def test_a_motion_that_its_programme_alone_leads_needs_no_pose_that_fits(last: Outputs) -> None:
     assert not is_contradicted(last, State.IDLE, refused=CONTRADICTIONS, sensed=False)
 
