@@ -80,7 +80,9 @@ def _while_in_contact(
     tracker: Tracker, before: TrackerState, after: TrackerState, report: Report
 ) -> TrackerState:
     """Return the state of a tool in contact; one that is released or holds nothing loses it."""
-    lost = Gate.WHEEL_RELEASED in after.passed or _holds_nothing(tracker, after, report)
+    # A retreat that keeps the clamp closed takes the part off the object.
+    lost = after.keeps or Gate.WHEEL_RELEASED in after.passed
+    lost = lost or _holds_nothing(tracker, after, report)
     return replace(
         after,
         contact=not lost,

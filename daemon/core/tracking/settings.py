@@ -124,6 +124,8 @@ class TactileNoise:
         holds: the touch holds the object across the tool's axis: a clamp closes, or bolts or a
             centring take it. False for faces that can slide until the screws are fixed: a force
             across does not show where the object is.
+        clamps: the tool's clamp closes on the object at the touch. False for a gripper that holds
+            the part alone: until the screws turn a retreat keeps it closed, and takes the part off.
     """
 
     deflection: Length = 0.00005
@@ -140,6 +142,7 @@ class TactileNoise:
     stamp: Annotated[float, Ge(0.0), Le(0.1)] = 0.0003
     compliance: Annotated[float, Ge(1.0), Le(1000.0)] = 12.0
     holds: bool = True
+    clamps: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -206,10 +206,11 @@ def advance_clock(
         state = _unloaded_in(state, release.RETREAT_S if retreat else release.UNLOADING_S)
     stood = max(state.stood - release.STANDING_S, 0.0)
     moved = 0.0 if view is None else abs(view.speed) * stood
-    clamped = retreat and state.withdrawn is None
+    carries = retreat and _carries(tracker, state, passed)
+    clamped = retreat and state.withdrawn is None and not carries
     clamped = clamped and _may_be_clamped(tracker, state, passed, moved)
     if retreat:
-        keeps = _keeps(state, clamped=clamped)
+        keeps = carries or _keeps(state, clamped=clamped)
         # A clamp that was kept closed is ordered to open only now.
         begun = None if state.keeps and not keeps else state.releasing
         state = replace(
@@ -244,6 +245,18 @@ def advance_clock(
         fixing=elapsed(state.fixing, screwing, T0),
         releasing=state.releasing if retreat else elapsed(state.releasing, releasing, T0),
     )
+
+
+def _carries(tracker: Tracker, state: TrackerState, passed: frozenset[Gate]) -> bool:
+    """Return whether the tool retreats with a part that it alone carries.
+
+    Its clamp holds the part, and nothing holds that to the object before its screws turn.
+    """
+    if tracker.settings.tactile.clamps:
+        return False
+    if state.releasing is not None:
+        return state.keeps
+    return state.fixing is None and Gate.SCREWS_FIXED not in passed
 
 
 def _keeps(state: TrackerState, *, clamped: bool) -> bool:

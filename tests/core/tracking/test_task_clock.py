@@ -149,6 +149,30 @@ def test_a_clamp_that_was_kept_closed_gets_its_time_to_open_from_a_late_touch_on
     assert opened[-1]
 
 
+@pytest.mark.parametrize(
+    ("clamps", "fixing", "is_fixed", "keeps"),
+    [
+        (False, None, False, True),
+        (False, 0.1, False, False),
+        (False, None, True, False),
+        (True, None, False, False),
+    ],
+)
+def test_a_part_that_the_tool_alone_carries_is_taken_off_the_object_again(
+    fixing: float | None, *, clamps: bool, is_fixed: bool, keeps: bool
+) -> None:
+    tracker = compiled()
+    tactile = dc.replace(tracker.settings.tactile, clamps=clamps)
+    tracker = dc.replace(tracker, settings=dc.replace(tracker.settings, tactile=tactile))
+    state = replace(on_the_object(0.3), passed=FIXED if is_fixed else SIGHT, fixing=fixing)
+    for stood in (0.1, 0.0):
+        # A robot that gets no commands withdraws later, and what it carries stays with it.
+        state = replace(state, stood=stood)
+        state = task_clock.advance_clock(tracker, state, None, SAMPLES, True)
+        assert state.keeps is keeps
+    assert (state.withdrawn is not None) is keeps
+
+
 SIGHT = frozenset({Gate.OBJECT_CLOSE, Gate.OBJECT_SEEN})
 
 
