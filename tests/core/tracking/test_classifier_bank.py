@@ -604,6 +604,28 @@ def test_the_readings_of_a_start_hide_no_stop_after_it() -> None:
     assert odds[1] < -5.0
 
 
+@pytest.mark.parametrize("strength", [0.104, 0.128])
+def test_a_stop_that_was_taken_as_a_faster_one_is_no_start(strength: float) -> None:
+    """Against a ramp that strong the readings of a usual stop showed a start."""
+    bank = BankClassifier(ConveyorClasses(), FUSION, BankSettings(), DEVIATION)
+    ages = np.arange(0.99, 0.0, -T0)
+    way = -NOMINAL * ages - 0.5 * strength * np.maximum(0.24 - ages, 0.0) ** 2
+    x = bank.initial(0.0).x.copy()
+    x[ACCELERATION] = -0.27 + 2.0 * bank.changes[Motion.STOPPING]
+    state = structs.replace(
+        bank.initial(0.0),
+        x=x,
+        motion=Motion.STOPPING,
+        class_age=0.24,
+        readings=np.array((ages, way)),
+        changes=onset_bank.begin(np.zeros(STATES), (0.0,), 0.2),
+        change=onset_bank.OnsetPosterior(100.0, np.ones(1), np.array((2.0,)), 0.7),
+    )
+    odds = bank._distance_odds(state)
+    assert odds is not None
+    assert odds < -1.0
+
+
 def coasting(tau: float, seconds: float) -> tuple[Array, Array]:
     """Times and positions of a stop at 1 s whose last part fades exponentially."""
     times = np.arange(-1.0, seconds, 0.001)

@@ -54,7 +54,7 @@ from linemate.daemon.core.tracking.classifiers.distance import (
     distance_step,
 )
 from linemate.daemon.core.tracking.classifiers.distance.distance_change import DistanceChange
-from linemate.daemon.core.tracking.classifiers.distance.distance_check import Ramp
+from linemate.daemon.core.tracking.classifiers.distance.distance_check import RAMP_DEVIATION, Ramp
 from linemate.daemon.core.tracking.classifiers.distance.distance_step import DistanceStep
 from linemate.daemon.core.tracking.classifiers.onset_bank import AmplitudePrior, OnsetBank
 from linemate.daemon.core.tracking.classifiers.start_check import StartRejection
@@ -541,7 +541,10 @@ class BankClassifier(BankModel):
             # The ramp before is no steady motion: that of a start hid a stop 0.5 s after it.
             readings = distance_check.since(readings, state.class_age)
         if state.motion in RAMPS:
-            ramp = Ramp(state.class_age, self._ramp(state))
+            acceleration, stated = self._ramp(state), self.class_acceleration(state.motion)
+            # One that was taken as a faster one may be as stated: its end is no other change.
+            unsure = abs(acceleration - stated) / max(abs(acceleration), abs(stated))
+            ramp = Ramp(state.class_age, acceleration, max(unsure, RAMP_DEVIATION))
         return distance_check.log_odds(
             readings,
             float(weights.dot(state.changes.age)),

@@ -40,10 +40,12 @@ class Ramp(Struct, frozen=True):
     Attributes:
         age: time since its onset [s].
         acceleration: of the conveyor, less than 0 as it brakes [m/s^2].
+        deviation: one sigma of that, as a share.
     """
 
     age: float
     acceleration: float
+    deviation: float = RAMP_DEVIATION
 
 
 def keep(readings: Array, measurements: Sequence[PositionMeasurement], dt: float) -> Array:
@@ -103,7 +105,7 @@ def log_odds(
         ramped = _ramp_way(ages, ramp)
         way = way - ramped
         rows.append(ramped)
-        information.append(RAMP_DEVIATION**-2)
+        information.append(ramp.deviation**-2)
         speed_deviation = RAMP_SPEED_DEVIATION
     late = _late(ages)
     if late is not None:
