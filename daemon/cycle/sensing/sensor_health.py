@@ -132,7 +132,7 @@ class Health(Generic[Sample]):
 Trusted = tuple[int, float]
 """Stamp [ns] and distance [m] of an accepted sample."""
 
-Astray = tuple[int, float, float]
+OffTrack = tuple[int, float, float]
 """Stamp [ns] and distance [m] of a refused sample, and how far the sensor has jumped [m]."""
 
 
@@ -140,9 +140,9 @@ class DistanceHealth(Health[DistanceSample]):
     """Check of the distance sensor: no jump, no stop without slowing down, no way backwards."""
 
     __slots__ = (
-        "_astray",
         "_changed_ns",
         "_learned",
+        "_off_track",
         "_quick",
         "_square",
         "_trusted",
@@ -152,7 +152,7 @@ class DistanceHealth(Health[DistanceSample]):
 
     def __init__(self) -> None:
         super().__init__()
-        self._astray: Astray | None = None
+        self._off_track: OffTrack | None = None
         self._trusted: deque[Trusted] = deque(maxlen=256)
         self._value: float | None = None
         self._changed_ns = 0
@@ -166,7 +166,7 @@ class DistanceHealth(Health[DistanceSample]):
         trusted, stamp_ns, position = self._trusted, sample.stamp_ns, sample.position
         if trusted and stamp_ns - trusted[-1][0] > FORGOTTEN_NS:
             trusted.clear()
-            self._astray = None
+            self._off_track = None
         lately = None
         if len(trusted) >= OUTVOTING:
             lately = _middle(trusted[-3], trusted[-2], trusted[-1])
@@ -185,7 +185,7 @@ class DistanceHealth(Health[DistanceSample]):
                 fault, jumped = f"it jumped by {off:.3f} m", max(off, jumped, key=abs)
             elif jumped and conditions.last_approach:
                 fault = f"it jumped by {jumped:.3f} m"
-            self._astray = (stamp_ns, position, jumped) if fault else None
+            self._off_track = (stamp_ns, position, jumped) if fault else None
             if fault is None and speed is not None:
                 self._learn(off)
         if conditions.moving and speed is not None and speed < -MOVING:
@@ -211,9 +211,9 @@ class DistanceHealth(Health[DistanceSample]):
         Args:
             speed: at which the distance was heading on [m/s].
         """
-        if self._astray is None:
+        if self._off_track is None:
             return 0.0
-        stamp_ns, position, jumped = self._astray
+        stamp_ns, position, jumped = self._off_track
         step = sample.position - position - speed * (sample.stamp_ns - stamp_ns) * 1e-9
         return jumped if step * jumped > -BACK * jumped * jumped else 0.0
 
