@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from linemate.daemon.config import config
+from linemate.daemon.config import config, files
 from linemate.daemon.core.parameters import Parameters
 from linemate.daemon.service.app import App
 from linemate.daemon.service.host import realtime
@@ -115,7 +115,7 @@ def test_every_variants_file_is_read_at_start_and_has_the_same_arm(tmp_path: Pat
     path.write_text(STATION.replace("wagon: wheel.yaml", "wagon: none.yaml"))
     with pytest.raises(config.FileError, match=r"production.variants.wagon"):
         config.load(path)
-    other = (Path(config.files.DAEMON_DATA) / "wheel.yaml").read_text()
+    other = (files.DAEMON_DATA / "wheel.yaml").read_text()
     (tmp_path / "other.yaml").write_text(other.replace("linear_axis: true", "linear_axis: false"))
     path.write_text(STATION.replace("wagon: wheel.yaml", "wagon: other.yaml"))
     with pytest.raises(config.FileError, match="its arm differs"):
