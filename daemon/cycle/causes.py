@@ -169,8 +169,8 @@ def _explain(name: str, signals: Signals, evidence: Evidence) -> Explanation:
 
 def _link(signals: Signals, evidence: Evidence) -> Explanation:
     counts, settings, facts = evidence.counts, evidence.settings, evidence.facts
-    cable = evidence.declined or "Check the robot's network and the controller's programme."
-    cable = cable[0].upper() + cable[1:]
+    advice = evidence.declined or "Check the robot's network and the controller's programme."
+    advice = advice[0].upper() + advice[1:]
     if signals.link is Link.HEALTHY:
         return f"{counts.good} answered cycles in a row, {settings.healthy_cycles} needed", ""
     touches = counts.state in watch.IN_CONTACT
@@ -179,15 +179,15 @@ def _link(signals: Signals, evidence: Evidence) -> Explanation:
         if facts.new_session:
             return "the controller's programme began again", "Arm and start again."
         lost_s = settings.link_lost_in_contact_s if touches else settings.link_lost_s
-        return f"no answered telegram {silent}, limit {lost_s:.2f} s", cable
+        return f"no answered telegram {silent}, limit {lost_s:.2f} s", advice
     missed_s = settings.missed_in_contact_s if touches else settings.missed_s
     if _age_s(counts.telegram_ns, facts.stamp_ns) >= missed_s:
-        return f"no answered telegram {silent}, limit {missed_s:.2f} s", cable
+        return f"no answered telegram {silent}, limit {missed_s:.2f} s", advice
     most_ns = watch.largest_leak_ns(settings, counts.state)
     if counts.leak_ns >= most_ns:
         level = f"level {counts.leak_ns * 1e-9:.2f} s, limit {most_ns * 1e-9:.2f} s"
-        return f"telegrams missed too often: {level}", cable
-    return _not_proven(evidence), cable
+        return f"telegrams missed too often: {level}", advice
+    return _not_proven(evidence), advice
 
 
 def _not_proven(evidence: Evidence) -> str:
